@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The method: numpy and the standard library, pure functions, no I/O, no clock, no ROS."""
+
+from rpgd_ros.core.camera import Camera
+from rpgd_ros.core.config import CalibrationConfig
+from rpgd_ros.core.errors import CalibrationError, InputError, Reason, RpgdError
+from rpgd_ros.core.geometry import RigidTransform
+from rpgd_ros.core.observations import MocapTrack, Observations, View
+from rpgd_ros.core.result import Calibration, GroupFit
+
+__all__ = [
+    'Calibration',
+    'CalibrationConfig',
+    'CalibrationError',
+    'Camera',
+    'GroupFit',
+    'InputError',
+    'MocapTrack',
+    'Observations',
+    'Reason',
+    'RigidTransform',
+    'RpgdError',
+    'View',
+]

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the solver is given: per camera, skeletons at that camera's stamps beside its keypoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.core.geometry import Array, BoolArray, IntArray
+
+NS_PER_S = 1_000_000_000
+LARGEST_COORDINATE = 1e6  # metres or pixels; beyond it a number is damage, not data
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """The correspondences of one camera (C of the publication's Algorithm 1, for one i).
+
+    Attributes:
+        stamp_ns: (F,) instants of the camera, strictly increasing; None where no time is known.
+        x_mocap: (F, J, 3) skeleton at those instants, metres, MoCap frame; NaN = missing.
+        uv: (F, J, 2) keypoints, pixels; NaN = missing.
+        confidence: (F, J) detector scores, or None.
+
+    """
+
+    stamp_ns: IntArray | None
+    x_mocap: Array
+    uv: Array
+    confidence: Array | None = None
+
+    @property
+    def n_frames(self) -> int:
+        """Number of instants."""
+        return len(self.uv)
+
+    def seen(self) -> BoolArray:
+        """(F, J) whether both sides of a correspondence are there and are numbers."""
+        with np.errstate(invalid='ignore', over='ignore'):
+            uv = np.abs(self.uv).max(-1) < LARGEST_COORDINATE  # False for NaN
+            x = np.abs(self.x_mocap).max(-1) < LARGEST_COORDINATE
+        both: BoolArray = uv & x
+        return both
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MocapTrack:
+    """The MoCap stream itself, kept for questions of time.
+
+    Attributes:
+        stamp_ns: (M,) strictly increasing.
+        x_mocap: (M, J, 3) metres; NaN = missing.
+
+    """
+
+    stamp_ns: IntArray
+    x_mocap: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """All correspondences of a recording.
+
+    Attributes:
+        views: One per camera, in the order of the cameras.
+        mocap: The MoCap track, or None where no time is known.
+        joint_names: (J,) names for reports; None where unknown.
+
+    """
+
+    views: tuple[View, ...]
+    mocap: MocapTrack | None = None
+    joint_names: tuple[str, ...] | None = None
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints J."""
+        return self.views[0].uv.shape[1] if self.views else 0
+
+    @classmethod
+    def from_arrays(
+        cls,
+        x_mocap: ArrayLike,
+        uv: ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        fps: float | None = None,
+        stamps: ArrayLike | None = None,
+        joint_names: tuple[str, ...] | None = None,
+    ) -> Observations:
+        """Build from synchronous arrays, which are referred to, not copied.
+
+        Args:
+            x_mocap: (T, J, 3) metres, NaN = missing.
+            uv: (V, T, J, 2) pixels, NaN = missing.
+            confidence: (V, T, J) detector scores.
+            fps: Frames per second, where time is known by rate.
+            stamps: (T,) seconds, where time is known by stamp.
+            joint_names: (J,) names for reports.
+
+        Raises:
+            InputError: Shapes that do not fit, or stamps that do not increase.
+
+        """
+        x = np.asarray(x_mocap, dtype=np.float64)
+        pixels = np.asarray(uv, dtype=np.float64)
+        scores = None if confidence is None else np.asarray(confidence, dtype=np.float64)
+        _check_shapes(x, pixels, scores)
+        if joint_names is not None and len(joint_names) != x.shape[1]:
+            msg = f'{len(joint_names)} joint names for {x.shape[1]} joints'
+            raise InputError(Reason.BAD_INPUT, msg)
+        stamp_ns = _stamps_ns(len(x), fps, stamps)
+        views = tuple(
+            View(stamp_ns, x, pixels[v], None if scores is None else scores[v])
+            for v in range(len(pixels))
+        )
+        track = None if stamp_ns is None else MocapTrack(stamp_ns, x)
+        return cls(views, track, joint_names)
+
+
+def _check_shapes(x: Array, uv: Array, confidence: NDArray[np.float64] | None) -> None:
+    if x.ndim != 3 or x.shape[2] != 3:
+        msg = f'x_mocap must be (T, J, 3), got {x.shape}'
+        raise InputError(Reason.BAD_INPUT, msg)
+    if uv.ndim != 4 or uv.shape[1:] != (*x.shape[:2], 2):
+        msg = f'uv must be (V, {x.shape[0]}, {x.shape[1]}, 2) to fit x_mocap, got {uv.shape}'
+        raise InputError(Reason.BAD_INPUT, msg)
+    if confidence is not None and confidence.shape != uv.shape[:3]:
+        msg = f'confidence must be {uv.shape[:3]} to fit uv, got {confidence.shape}'
+        raise InputError(Reason.BAD_INPUT, msg)
+
+
+def _stamps_ns(n_frames: int, fps: float | None, stamps: ArrayLike | None) -> IntArray | None:
+    if stamps is not None:
+        seconds = np.asarray(stamps, dtype=np.float64)
+        if seconds.shape != (n_frames,) or not (np.diff(seconds) > 0.0).all():
+            msg = f'stamps must be ({n_frames},) increasing seconds, got shape {seconds.shape}'
+            raise InputError(Reason.BAD_INPUT, msg)
+        return np.round(seconds * NS_PER_S).astype(np.int64)
+    if fps is None:
+        return None
+    if not (np.isfinite(fps) and fps > 0.0):
+        msg = f'fps must be a positive number, got {fps}'
+        raise InputError(Reason.BAD_INPUT, msg)
+    return np.round(np.arange(n_frames) * (NS_PER_S / fps)).astype(np.int64)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a solve returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rpgd_ros.core.config import CalibrationConfig
+from rpgd_ros.core.geometry import Array, RigidTransform
+
+
+@dataclass(frozen=True, slots=True)
+class GroupFit:
+    """How one camera, or one joint, agrees with the pose.
+
+    Attributes:
+        name: Of the camera or joint.
+        correspondences: Those with a depth > 0 (S of eq. 4).
+        inliers: Those with a residual below the threshold (eq. 3).
+        mpjpe_px: Mean residual over the correspondences (eq. 7), pixels; NaN without any.
+        inlier_mpjpe_px: Mean residual over the inliers, pixels; NaN without any.
+        bias_px: Mean residual vector (du, dv) of the inliers, pixels.
+
+    """
+
+    name: str
+    correspondences: int
+    inliers: int
+    mpjpe_px: float
+    inlier_mpjpe_px: float
+    bias_px: tuple[float, float]
+
+    @property
+    def inlier_ratio(self) -> float:
+        """Inliers over correspondences; 0 without any."""
+        return self.inliers / self.correspondences if self.correspondences else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A pose, and how far to trust it.
+
+    Attributes:
+        world_T_mocap: The publication's (R_m, t_m): `x_world = world_T_mocap @ x_mocap`.
+        covariance: (6, 6) of (d_rot [rad], d_t [m]), world frame: R_true = exp([d_rot]x) R and
+            t_true = t + d_t. The larger of the independent and the per-joint clustered one.
+        mpjpe_px: Mean residual over all correspondences before a camera (eq. 7), pixels.
+        median_px: Median residual, pixels.
+        p95_px: 95th percentile of the residuals, pixels.
+        inlier_ratio: Inliers over correspondences.
+        inliers: Number of inliers.
+        correspondences: Number of correspondences.
+        frames: Instants with an inlier, of the camera that has most.
+        threshold_px: Inlier threshold used, given or estimated, pixels.
+        centroid_mocap: (3,) centre of the observed joints, metres, MoCap frame.
+        per_camera: Fit by camera name.
+        per_joint: Fit by joint name, or number.
+        time_offset_s: {camera: (offset, sigma)} where estimated, seconds.
+        warnings: Sentences for people.
+        config: The settings of the run.
+        seconds: Duration of the run.
+
+    """
+
+    world_T_mocap: RigidTransform
+    covariance: Array
+    mpjpe_px: float
+    median_px: float
+    p95_px: float
+    inlier_ratio: float
+    inliers: int
+    correspondences: int
+    frames: int
+    threshold_px: float
+    centroid_mocap: Array
+    per_camera: Mapping[str, GroupFit]
+    per_joint: Mapping[str, GroupFit]
+    config: CalibrationConfig
+    time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def sigma_rotation_deg(self) -> float:
+        """Standard deviation of the rotation (root of the summed variances), degrees."""
+        return float(np.degrees(np.sqrt(np.trace(self.covariance[:3, :3]))))
+
+    @property
+    def centroid_covariance(self) -> Array:
+        """(3, 3) covariance of the world position of the body's centroid, square metres.
+
+        The translation is that of the MoCap origin, which may be far from the room: a small
+        rotation moves it a long way. The centroid is where the subject is.
+        """
+        lever = self.world_T_mocap.rotation @ self.centroid_mocap
+        x, y, z = lever
+        jacobian = np.hstack([[[0, z, -y], [-z, 0, x], [y, -x, 0]], np.eye(3)])
+        covariance: Array = jacobian @ self.covariance @ jacobian.T
+        return covariance
+
+    @property
+    def sigma_position_m(self) -> float:
+        """Standard deviation of the body's centroid (root of the summed variances), metres."""
+        return float(np.sqrt(np.trace(self.centroid_covariance)))
