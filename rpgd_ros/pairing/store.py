@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bounded, sorted store of stamped joints in preallocated arrays.
+
+Adding is a copy to the end of an array. Order, duplicates and age are put right when somebody
+looks, for all rows at once: a stream in order, the usual case, costs one comparison per row.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rpgd_ros.core.geometry import Array, BoolArray, IntArray
+
+FIRST_ROWS = 256  # 1 s of a fast MoCap; doubled as needed, so that silent streams cost nothing
+
+
+class Samples(NamedTuple):
+    """Joints over time.
+
+    Attributes:
+        stamp_ns: (F,) strictly increasing.
+        values: (F, J, C) as sent; NaN = missing.
+        confidence: (F, J); NaN where a message had none; None where no message had any.
+
+    """
+
+    stamp_ns: IntArray
+    values: Array
+    confidence: Array | None
+
+
+class SampleStore:
+    """Keeps the newest samples, one per stamp.
+
+    What it holds is a function of the set of samples given, not of their order: of two samples
+    with one stamp, the one with more joints stays, then the one whose bytes come first.
+
+    Attributes:
+        max_frames: Most samples kept.
+        max_age_ns: Samples older than the newest by more are dropped.
+        n_duplicate: Samples that shared a stamp with another.
+        n_expired: Samples dropped for number or age.
+
+    """
+
+    def __init__(self, max_frames: int, max_age_ns: int, *, n_joints: int, n_values: int) -> None:
+        """Start empty, for joints of `n_values` coordinates each."""
+        self.max_frames = max_frames
+        self.max_age_ns = max_age_ns
+        self.n_duplicate = 0
+        self.n_expired = 0
+        self._start = self._sorted = self._end = 0
+        self._has_confidence = False
+        self._stamp = np.empty(FIRST_ROWS, np.int64)
+        self._values = np.empty((FIRST_ROWS, n_joints, n_values))
+        self._confidence = np.empty((FIRST_ROWS, n_joints))
+
+    def append(self, stamp_ns: IntArray, values: Array, confidence: Array | None) -> None:
+        """Take samples in any order: (B,), (B, J, C) and (B, J)."""
+        n = len(stamp_ns)
+        if self._end + n > len(self._stamp):
+            self._make_room(n)
+        rows = slice(self._end, self._end + n)
+        self._stamp[rows] = stamp_ns
+        self._values[rows] = values
+        if confidence is None:
+            self._confidence[rows] = np.nan
+        else:
+            self._confidence[rows] = confidence
+            self._has_confidence = True
+        self._end += n
+
+    def clear(self) -> int:
+        """Drop all samples and return how many there were."""
+        n = len(self)
+        self._start = self._sorted = self._end = 0
+        self._has_confidence = False
+        return n
+
+    def __len__(self) -> int:
+        """Return the number of samples kept."""
+        self._consolidate()
+        return self._end - self._start
+
+    def stamps(self) -> IntArray:
+        """Return the (F,) stamps, valid until the next sample is added."""
+        self._consolidate()
+        return self._stamp[self._start : self._end]
+
+    def samples(self) -> Samples:
+        """Return the samples, valid until the next one is added."""
+        self._consolidate()
+        rows = slice(self._start, self._end)
+        confidence = self._confidence[rows] if self._has_confidence else None
+        return Samples(self._stamp[rows], self._values[rows], confidence)
+
+    def _consolidate(self) -> None:
+        """Sort what was added since the last time, and let go of what is too old."""
+        if self._sorted < self._end:
+            tail = self._stamp[self._sorted : self._end]
+            follows = self._sorted == self._start or tail[0] > self._stamp[self._sorted - 1]
+            if not (follows and bool((tail[1:] > tail[:-1]).all())):
+                self._merge(int(tail.min()))
+            self._sorted = self._end
+        kept = self._stamp[self._start : self._end]
+        if len(kept):
+            too_old = int(np.searchsorted(kept, kept[-1] - self.max_age_ns))
+            n = max(too_old, len(kept) - self.max_frames)
+            self._start += n
+            self.n_expired += n
+
+    def _merge(self, oldest_new: int) -> None:
+        """Bring the rows from `oldest_new` on into order, one per stamp."""
+        settled = self._stamp[self._start : self._sorted]
+        first = self._start + int(np.searchsorted(settled, oldest_new))
+        order = first + np.argsort(self._stamp[first : self._end], kind='stable')
+        order = order[self._one_per_stamp(order)]
+        self.n_duplicate += self._end - first - len(order)
+        rows = slice(first, first + len(order))
+        for array in (self._stamp, self._values, self._confidence):
+            array[rows] = array[order]
+        self._end = rows.stop
+
+    def _one_per_stamp(self, order: IntArray) -> BoolArray:
+        """Choose one row of each stamp; `order` (n,) sorts the rows by stamp."""
+        stamp = self._stamp[order]
+        keep = np.ones(len(order), np.bool_)
+        keep[1:] = stamp[1:] != stamp[:-1]
+        again = np.flatnonzero(~keep)
+        differs = self._bytes_differ(order[again - 1], order[again])
+        for stamp_ns in np.unique(stamp[again[differs]]):
+            group = np.arange(*np.searchsorted(stamp, [stamp_ns, stamp_ns + 1]))
+            keep[group] = False
+            keep[min(group, key=lambda i: self._rank(int(order[i])))] = True
+        return keep
+
+    def _bytes_differ(self, rows: IntArray, others: IntArray) -> BoolArray:
+        """Tell, pair by pair, which of two rows hold other bits: NaN equals itself here."""
+        differs: BoolArray = np.zeros(len(rows), np.bool_)
+        for array in (self._values, self._confidence):
+            bits = array.view(np.int64).reshape(len(array), -1)
+            differs |= (bits[rows] != bits[others]).any(1)
+        return differs
+
+    def _rank(self, row: int) -> tuple[int, bytes, bytes]:
+        """Rank a sample among those of one stamp: more joints first, then by its bytes."""
+        values = self._values[row]
+        missing = int(np.isnan(values).any(-1).sum())
+        return missing, values.tobytes(), self._confidence[row].tobytes()
+
+    def _make_room(self, n: int) -> None:
+        """Move the rows to the front of arrays that hold `n` more and some slack."""
+        self._consolidate()
+        n_kept = self._end - self._start
+        # A quarter of slack: rows move once every n_kept / 4 messages, so adding stays cheap.
+        needed = n_kept + n + n_kept // 4
+        rows = max(len(self._stamp), FIRST_ROWS)
+        while rows < needed:
+            rows *= 2
+        rows = max(min(rows, self.max_frames + self.max_frames // 4 + 1), needed)
+        for name in ('_stamp', '_values', '_confidence'):
+            old = getattr(self, name)
+            new = old if rows <= len(old) else np.empty((rows, *old.shape[1:]), old.dtype)
+            new[:n_kept] = old[self._start : self._end]
+            setattr(self, name, new)
+        self._start, self._sorted, self._end = 0, n_kept, n_kept
