@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The method: numpy and the standard library, pure functions, no I/O, no clock, no ROS."""
 
+from rpgd_ros.core.calibrate import calibrate
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.config import CalibrationConfig
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason, RpgdError
@@ -21,4 +22,5 @@ __all__ = [
     'RigidTransform',
     'RpgdError',
     'View',
+    'calibrate',
 ]

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole solve: robust start, refinement, figures, gates."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rpgd_ros.core.config import (
+    PAPER_RANSAC_FRAMES,
+    PAPER_REFINE_FRAMES,
+    PAPER_THRESHOLD_PX,
+    CalibrationConfig,
+)
+from rpgd_ros.core.errors import CalibrationError, InputError, Reason
+from rpgd_ros.core.linearise import Sight, residuals
+from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, fit_noise
+from rpgd_ros.core.quality import check_body, covariance, fits, motion_m, refuse, spread, tally
+from rpgd_ros.core.ransac import published, robust_start
+from rpgd_ros.core.refine import Descent, adam, descend
+from rpgd_ros.core.result import Calibration
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rpgd_ros.core.camera import Camera
+    from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
+    from rpgd_ros.core.observations import Observations
+
+MIDDLE_POINTS = 32_768  # the noise is fitted on them: 0.5 % of its sigma
+NOISE_ROUNDS = 3  # of descending and fitting the noise again
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Progress, cancellation and time limit of one solve."""
+
+    progress: Callable[[str, float], None] | None
+    should_stop: Callable[[], bool] | None
+    clock: Callable[[], float]
+    started: float
+    max_seconds: float
+
+    def check(self, stage: str) -> Callable[[float], None]:
+        """Return what a stage calls with its fraction done."""
+
+        def tick(fraction: float) -> None:
+            if self.progress is not None:
+                self.progress(stage, min(fraction, 1.0))
+            if self.should_stop is not None and self.should_stop():
+                msg = f'cancelled during {stage}'
+                raise CalibrationError(Reason.CANCELLED, msg)
+            if self.max_seconds and self.clock() - self.started > self.max_seconds:
+                msg = f'the time limit of {self.max_seconds:g} s ended the run during {stage}'
+                raise CalibrationError(Reason.CANCELLED, msg)
+
+        return tick
+
+
+def calibrate(
+    cameras: Sequence[Camera],
+    observations: Observations,
+    *,
+    config: CalibrationConfig | None = None,
+    seed: int | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Calibration:
+    """Find `world_T_mocap` from what cameras saw of a moving person.
+
+    Args:
+        cameras: One per view of the observations. A single camera without extrinsics is the
+            world itself.
+        observations: Skeletons and keypoints, see `Observations`.
+        config: Settings; None = `CalibrationConfig()`.
+        seed: Seed of the draws; None = `config.ransac.seed`.
+        progress: Called with (stage, fraction done).
+        should_stop: Polled; True ends the run with CANCELLED.
+        clock: Seconds, monotonic, for the time limit.
+
+    Raises:
+        CalibrationError: The data do not determine a pose that anybody should use.
+        InputError: Cameras and observations do not fit together.
+
+    """
+    config = config or CalibrationConfig()
+    run = _Run(progress, should_stop, clock, clock(), config.max_seconds)
+    sights = _sights(cameras, observations)
+    check_body(sights)
+    rng = np.random.default_rng(config.ransac.seed if seed is None else seed)
+    centroid = _centroid(sights)
+    if config.ransac.score == 'inliers':
+        pose, noise = _published_start(sights, config, rng, run)
+    else:
+        start = robust_start(sights, config.ransac, rng, check=run.check('start'))
+        pose, noise = start.candidates[0].world_T_mocap, start.candidates[0].noise
+    descent, loss = _refine(sights, pose, noise, centroid, config, run)
+    return _judge(sights, descent, loss, centroid, observations.joint_names, config, run)
+
+
+def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight]:
+    """Pair cameras with views; those that saw nothing are kept out."""
+    if len(cameras) != len(observations.views):
+        msg = f'{len(cameras)} cameras for {len(observations.views)} views'
+        raise InputError(Reason.BAD_INPUT, msg)
+    blind = [c.name for c in cameras if c.camera_T_world is None]
+    if blind and len(cameras) > 1:
+        msg = f'no extrinsics for {", ".join(blind)}: give camera_T_world for each of several cameras'
+        raise CalibrationError(Reason.NO_EXTRINSICS, msg)
+    pairs = zip(cameras, observations.views, strict=True)
+    sights = [Sight(c, v) for c, v in pairs if v.n_frames and v.uv.shape[1]]
+    if not sights:
+        msg = 'no frame with skeleton and keypoints'
+        raise CalibrationError(Reason.NO_DATA, msg)
+    return sights
+
+
+def _centroid(sights: Sequence[Sight]) -> Array:
+    """(3,) centre of the joints of some frames, metres: the pivot of all steps."""
+    x = np.concatenate([s.view.x_mocap[spread(s.view.n_frames, 100)].reshape(-1, 3) for s in sights])
+    centre: Array = np.median(x[(np.abs(x) < 1e3).all(-1)], axis=0)
+    return centre
+
+
+def _thin(sights: Sequence[Sight], stride: int, choose: Callable[[int], IntArray]) -> list[Sight]:
+    """Downsample in time: every stride-th frame, or those that `choose` picks of n."""
+    return [
+        s.at_frames(np.arange(0, s.view.n_frames, stride) if stride else choose(s.view.n_frames))
+        for s in sights
+    ]
+
+
+def _budget(sights: Sequence[Sight], points: int) -> Callable[[int], IntArray]:
+    """Return a chooser that keeps about `points` correspondences over all cameras."""
+    total = sum(s.view.uv.shape[0] * s.view.uv.shape[1] for s in sights)
+    share = min(1.0, points / max(total, 1))
+    return lambda n_frames: spread(n_frames, max(1, int(np.ceil(share * n_frames))))
+
+
+def _published_start(
+    sights: Sequence[Sight], config: CalibrationConfig, rng: np.random.Generator, run: _Run
+) -> tuple[RigidTransform, NoiseModel]:
+    tau = config.ransac.threshold_px or PAPER_THRESHOLD_PX
+    ransac = replace(config.ransac, threshold_px=tau)
+    thin = _thin(sights, ransac.frame_stride, lambda n: spread(n, PAPER_RANSAC_FRAMES))
+    pose = published(thin, ransac, rng, check=run.check('start'))
+    return pose, fit_noise(_residuals_px(thin, pose))
+
+
+def _refine(
+    sights: Sequence[Sight], pose: RigidTransform, noise: NoiseModel, centroid: Array,
+    config: CalibrationConfig, run: _Run,
+) -> tuple[Descent, Loss]:  # fmt: skip
+    """Refine as configured, and end with the sums that covariance and figures need."""
+    check = run.check('refinement')
+    refine = config.refine
+    if refine.method == 'newton' and refine.loss == 'robust':
+        pose, noise = _settle_noise(sights, pose, centroid, refine.iterations, run)
+    loss: Loss = SquaredLoss() if refine.loss == 'squared' else noise
+    if refine.method == 'adam':
+        thin = _thin(sights, refine.frame_stride, lambda n: spread(n, PAPER_REFINE_FRAMES))
+        pose = adam(thin, pose, refine, loss, check=check)
+    steps = refine.iterations if refine.method == 'newton' else 1
+    used = _thin(sights, refine.frame_stride, _budget(sights, refine.max_correspondences))
+    return descend(used, pose, centroid, loss, max_steps=steps, check=check), loss
+
+
+def _settle_noise(
+    sights: Sequence[Sight], pose: RigidTransform, centroid: Array, max_steps: int, run: _Run
+) -> tuple[RigidTransform, NoiseModel]:
+    """Fit noise and pose to each other on a part of the data."""
+    middle = _thin(sights, 0, _budget(sights, MIDDLE_POINTS))
+    noise = fit_noise(_residuals_px(middle, pose))
+    for _ in range(NOISE_ROUNDS):
+        check = run.check('noise')
+        pose = descend(middle, pose, centroid, noise, max_steps=max_steps, check=check).pose
+        noise = fit_noise(_residuals_px(middle, pose))
+    return pose, noise
+
+
+def _residuals_px(sights: Sequence[Sight], pose: RigidTransform) -> Array:
+    """(n,) residuals of all correspondences before a camera, pixels; never empty."""
+    out = [np.empty(0)]
+    for s in sights:
+        for _, x, uv in s.chunks():
+            res = residuals(s.camera, s.camera_T_world @ pose, x, uv)
+            out.append(np.sqrt(res.du**2 + res.dv**2)[res.in_view])
+    joined = np.concatenate(out)
+    if not len(joined):
+        msg = 'no keypoint lies before a camera in the best pose found'
+        raise CalibrationError(Reason.TOO_FEW_INLIERS, msg)
+    return joined
+
+
+def _judge(
+    sights: Sequence[Sight], descent: Descent, loss: Loss, centroid: Array,
+    joint_names: tuple[str, ...] | None, config: CalibrationConfig, run: _Run,
+) -> Calibration:  # fmt: skip
+    """Collect the figures and pass the gates."""
+    threshold = config.ransac.threshold_px
+    if not threshold:
+        threshold = loss.threshold_px if isinstance(loss, NoiseModel) else PAPER_THRESHOLD_PX
+    counts = tally(sights, descent.pose, threshold)
+    n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())
+    variance = 1.0
+    if isinstance(loss, SquaredLoss):
+        # Per axis: the squared loss is a log likelihood only when divided by the variance.
+        variance = 2.0 * descent.normal.cost / max(2 * n - 6, 1)
+    median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
+    names = joint_names or tuple(str(j) for j in range(sights[0].view.uv.shape[1]))
+    calibration = Calibration(
+        world_T_mocap=descent.pose,
+        covariance=covariance(descent, centroid, variance=variance),
+        mpjpe_px=float(counts.error_px.sum()) / n if n else float('nan'),
+        median_px=float(median),
+        p95_px=float(p95),
+        inlier_ratio=n_in / n if n else 0.0,
+        inliers=n_in,
+        correspondences=n,
+        frames=int(counts.frames.max()),
+        threshold_px=threshold,
+        centroid_mocap=centroid,
+        per_camera=fits(counts, [s.camera.name for s in sights], axis=1),
+        per_joint=fits(counts, names, axis=0),
+        config=config,
+        seconds=run.clock() - run.started,
+    )
+    refuse(calibration, config.accept, motion_m(sights))
+    return calibration

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How residuals are spread, and the losses that follow from it.
+
+A residual is either the detector's noise, a bivariate Student-t of scale sigma and tail nu (a
+Gaussian for large nu), or gross: a much broader one. All of it is fitted to the residuals at a
+pose, so no threshold needs to be known beforehand. Near the pose the gross part is flat, so the
+loss is the negative log likelihood of noise plus a constant: outliers lose their pull smoothly
+where they become the better explanation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from rpgd_ros.core.geometry import Array, BoolArray
+
+TAILS = (3.0, 6.0, 15.0, 1000.0)  # nu: detectors lie between 3 (heavy) and Gaussian
+STARTS = (0.1, 0.3, 0.5)  # quantiles at which sigma is begun: a fit may have several optima
+FIT_STEPS = 40
+BINS_PER_DECADE = 40  # of the residual: 6 % wide, far below what a sigma can be known to
+DECADES = (-4.0, 4.0)  # 0.1 um on the sensor to far outside the image, pixels
+BROADER = 4.0  # a gross part nearer to the noise than this is noise
+MAX_INLIER_SHARE = 0.999  # keeps a floor under the loss: the one gross error to come is bounded
+INLIER_QUANTILE = 0.99  # of the noise: where the threshold is put when none is given
+
+
+class Loss(Protocol):
+    """A loss rho(s) of the squared residual s, px^2, with 2 rho' >= 0 and rho'' <= 0."""
+
+    def evaluate(
+        self, squared: Array, in_view: BoolArray, seen: BoolArray
+    ) -> tuple[float, Array, Array | None]:
+        """Return the summed cost, the weights 2 rho', and -4 rho'' (None = zero), each (n,)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SquaredLoss:
+    """Half the squared residual, over the correspondences with depth > 0 (eq. 4, not yet divided)."""
+
+    def evaluate(
+        self, squared: Array, in_view: BoolArray, seen: BoolArray
+    ) -> tuple[float, Array, Array | None]:
+        """See `Loss`."""
+        del seen
+        return 0.5 * float(squared[in_view].sum()), in_view.astype(np.float64), None
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Fitted spread of the residuals; as a loss, its negative log likelihood.
+
+    Attributes:
+        sigma_px: Scale of the detector's noise per axis, pixels.
+        nu: Its tail (degrees of freedom).
+        share: Share of the correspondences that carry only this noise.
+        background: Density of gross residuals near zero, 1 / px^2.
+
+    """
+
+    sigma_px: float
+    nu: float
+    share: float
+    background: float
+
+    @property
+    def peak(self) -> float:
+        """Density of the noise at zero, 1 / px^2."""
+        return self.share / (2.0 * np.pi * self.sigma_px**2)
+
+    @property
+    def threshold_px(self) -> float:
+        """Residual below which a correspondence counts as an inlier, pixels."""
+        tail = (1.0 - INLIER_QUANTILE) ** (-2.0 / self.nu) - 1.0
+        return self.sigma_px * float(np.sqrt(self.nu * tail))
+
+    def evaluate(
+        self, squared: Array, in_view: BoolArray, seen: BoolArray
+    ) -> tuple[float, Array, Array | None]:
+        """See `Loss`."""
+        k = 0.5 * (self.nu + 2.0)
+        scale = self.nu * self.sigma_px**2
+        near = squared + scale
+        log_decay = np.log(near) - np.log(scale)
+        density = self.peak * np.exp(-k * log_decay)
+        total = density + self.background
+        pull = k / near
+        belongs = density / total
+        belongs[~in_view] = 0.0
+        weight = 2.0 * belongs * pull
+        bending = 2.0 * weight * pull * (1.0 + (1.0 - belongs) * k)
+        return self._cost(total, in_view, seen), weight, bending
+
+    def cost_per_point(self, residual_px: Array) -> float:
+        """Mean negative log likelihood of residuals, pixels."""
+        near = 1.0 + residual_px**2 / (self.nu * self.sigma_px**2)
+        density = self.peak * near ** (-0.5 * (self.nu + 2.0)) + self.background
+        return -float(np.log(density).mean())
+
+    def _cost(self, total: Array, in_view: BoolArray, seen: BoolArray) -> float:
+        best = np.log(self.peak + self.background)
+        n_out = int(seen.sum()) - int(in_view.sum())
+        inside = np.log(total[in_view]).sum() if n_out or not in_view.all() else np.log(total).sum()
+        outside = n_out * np.log(self.background)
+        return float(int(seen.sum()) * best - inside - outside)
+
+
+def fit_noise(residual_px: Array, *, quick: bool = False) -> NoiseModel:
+    """Fit the spread of residuals by maximum likelihood (EM on a histogram of their logarithm).
+
+    Args:
+        residual_px: (n,) residuals of correspondences in view, pixels, n > 0.
+        quick: One tail and one starting point, for ranking.
+
+    Returns:
+        The most likely model over a few tails and starting points.
+
+    """
+    r2, counts = _histogram(residual_px)
+    cumulated = np.cumsum(counts) / counts.sum()
+    starts = [r2[np.searchsorted(cumulated, q)] for q in (STARTS[:1] if quick else STARTS)]
+    grid = np.meshgrid(TAILS[:1] if quick else TAILS, starts)
+    nu, sigma2 = (column.ravel()[:, None] for column in grid)
+    share = np.full_like(nu, 0.7)
+    broad2 = np.full_like(nu, max(r2[np.searchsorted(cumulated, 0.95)], BROADER**2 * sigma2.max()))
+    for _ in range(FIT_STEPS):
+        noise = share * _student(r2, sigma2, nu)
+        gross = (1.0 - share) * _student(r2, broad2, 1.0)
+        to_noise = counts * noise / (noise + gross)
+        to_gross = counts - to_noise
+        share = np.clip(to_noise.sum(1, keepdims=True) / counts.sum(), 0.001, MAX_INLIER_SHARE)
+        sigma2 = _scale(r2, to_noise, sigma2, nu)
+        broad2 = np.maximum(_scale(r2, to_gross, broad2, 1.0), BROADER**2 * sigma2)
+    density = share * _student(r2, sigma2, nu) + (1.0 - share) * _student(r2, broad2, 1.0)
+    best = int(np.argmax((counts * np.log(density)).sum(1)))
+    return NoiseModel(
+        sigma_px=float(np.sqrt(sigma2[best, 0])),
+        nu=float(nu[best, 0]),
+        share=float(share[best, 0]),
+        background=float((1.0 - share[best, 0]) / (2.0 * np.pi * broad2[best, 0])),
+    )
+
+
+def _histogram(residual_px: Array) -> tuple[Array, Array]:
+    """Return the squared residuals and the counts of the occupied logarithmic bins."""
+    low, high = DECADES
+    position = np.log10(np.clip(residual_px, 10.0**low, 10.0**high)) * BINS_PER_DECADE
+    index = np.floor(position - low * BINS_PER_DECADE).astype(np.int64)
+    counts = np.bincount(index).astype(np.float64)
+    used = np.flatnonzero(counts)
+    r2: Array = 10.0 ** (2.0 * ((used + 0.5) / BINS_PER_DECADE + low))
+    return r2, counts[used]
+
+
+def _student(r2: Array, sigma2: Array, nu: Array | float) -> Array:
+    """Density of a bivariate Student-t at the squared radius, 1 / px^2."""
+    decay = np.log1p(r2 / (nu * sigma2))
+    density: Array = np.exp(-0.5 * (nu + 2.0) * decay) / (2.0 * np.pi * sigma2)
+    return np.maximum(density, 1e-300)
+
+
+def _scale(r2: Array, part: Array, sigma2: Array, nu: Array | float) -> Array:
+    """One EM step of the squared scale of a bivariate Student-t."""
+    weight = (nu + 2.0) / (nu + r2 / sigma2)
+    total = np.maximum(2.0 * part.sum(1, keepdims=True), 1e-12)
+    return np.maximum((part * weight * r2).sum(1, keepdims=True) / total, 1e-12)
