@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+# `make` alone explains the targets.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help setup demo test test-oldest lint format bench clean
+
+VENV ?= .venv
+VENV_OLDEST ?= .venv-oldest
+PYTHON ?= python3.12 python3.11 python3
+PYTHON_OLDEST ?= python3.11 $(PYTHON)
+ARGS ?=
+
+# The tests and the demo talk to this machine only; generated messages check what is put in them.
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export ROS_PYTHON_CHECK_FIELDS := 1
+
+# The venv brings its own ROS. A sourced one, or the guard that a program of another venv left in
+# the environment, would mix the libraries of two.
+ifneq ($(AMENT_PREFIX_PATH)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
+unexport LD_LIBRARY_PATH
+endif
+unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH PYTHONPATH ROS_DISTRO RMW_IMPLEMENTATION
+unexport ROS_LOCALHOST_ONLY ROS_STATIC_PEERS ROS_DISCOVERY_SERVER FASTRTPS_DEFAULT_PROFILES_FILE
+unexport FASTDDS_DEFAULT_PROFILES_FILE _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+define HELP
+rpgd_ros: align a motion-capture system with cameras from a walking person
+
+  make demo    simulate a studio recording, play it to the live node, print its error
+  make test    run the tests             make test ARGS='test/test_layers.py -k edge'
+  make lint    check style and types     (ruff, mypy)
+  make bench   measure accuracy and speed
+  make clean   remove the virtual environments and everything built
+
+The first of them sets up $(VENV) with Python 3.11 or 3.12 and ROS 2 Jazzy as wheels (600 MB).
+What to do then, without ROS installed:
+
+  $(VENV)/bin/simulate --help            make a recording with known truth
+  $(VENV)/bin/calibrate_bag --help       calibrate from a rosbag2
+  $(VENV)/bin/calibrator --help          calibrate live
+
+With ROS 2 Jazzy from apt, put this folder into a workspace's src/ instead:
+
+  pip install --break-system-packages 'rosbags>=0.11,<0.12'   # the one dependency not in apt
+  rosdep install --from-paths src --ignore-src
+  colcon build --packages-select rpgd_ros && source install/setup.bash
+  ros2 run rpgd_ros calibrator --ros-args -p rig_file:=rig.yaml
+endef
+export HELP
+
+help:
+	@echo "$$HELP"
+
+setup: $(VENV)/.ready
+
+demo: $(VENV)/.ready
+	@$(VENV)/bin/python -m rpgd_ros.apps.demo --output demo_output $(ARGS)
+
+test: $(VENV)/.ready
+	@$(VENV)/bin/python -m pytest $(ARGS)
+
+# The other end of the supported versions, and no ROS: what runs offline must run there too.
+test-oldest: $(VENV_OLDEST)/.ready
+	@$(VENV_OLDEST)/bin/python -m pytest -m 'not packaging' $(ARGS)
+
+lint: $(VENV)/.ready
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/mypy rpgd_ros test
+
+bench: $(VENV)/.ready
+	@$(VENV)/bin/python -m rpgd_ros.apps.bench $(ARGS)
+
+clean:
+	rm -rf .venv .venv-oldest build install log dist demo_output *.egg-info \
+	    .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find rpgd_ros test -name __pycache__ -prune -exec rm -rf {} +
+
+$(VENV)/.ready: CANDIDATES := $(PYTHON)
+$(VENV)/.ready: REQUIRED := -e '.[ros,test,lint,colcon]'
+$(VENV)/.ready: setup.py setup.cfg package.xml
+	$(make_venv)
+
+$(VENV_OLDEST)/.ready: CANDIDATES := $(PYTHON_OLDEST)
+$(VENV_OLDEST)/.ready: REQUIRED := -e '.[test]' -c test/oldest.txt
+$(VENV_OLDEST)/.ready: setup.py setup.cfg package.xml test/oldest.txt
+	$(make_venv)
+
+# A fresh venv of the first candidate that fits, its stamp touched when all is installed. What pip
+# says is pages long: it becomes one line of progress, and its errors where it fails.
+define make_venv
+@for python in $(CANDIDATES) none; do
+    $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && break || true
+done
+if [ $$python = none ]; then
+    echo 'Found no Python 3.11 or newer among: $(CANDIDATES)' >&2
+    echo 'Install one, or name it: make PYTHON=/path/to/python3.12' >&2
+    exit 1
+fi
+echo "Setting up $(@D) with $$($$python --version), a minute or two ..."
+$$python -m venv --clear $(@D) || {
+    echo "$$python cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv" >&2
+    exit 1
+}
+install() {
+    $(@D)/bin/python -m pip --disable-pip-version-check --no-input install $(REQUIRED) 2>&1
+}
+report() {
+    n=0
+    while read -r verb name rest; do
+        case "$$verb $$name" in
+            'Successfully installed') set -- $$rest; done="  installed $$# packages" ;;
+            Collecting* | Processing*) n=$$((n + 1)); [ ! -t 1 ] || printf '\r\033[K  %d: %s' $$n "$${name##*/}" ;;
+        esac
+    done
+    [ ! -t 1 ] || printf '\r\033[K'
+    echo "$${done:-}"
+}
+install | tee $(@D)/install.log | report || {
+    grep -i '^ *error' $(@D)/install.log || tail -n 20 $(@D)/install.log
+    echo 'All of it: $(@D)/install.log' >&2
+    exit 1
+}
+touch $@
+endef
+.ONESHELL:

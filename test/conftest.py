@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all tests share: a safe ROS environment, repeatable random cases, recorded data."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# Before any test imports rclpy or a message: talk to this machine only, and check the fields.
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
+
+# The same cases in each run, and no time limit for one: a busy machine is no fault of the code.
+settings.register_profile('repeatable', derandomize=True, deadline=None, database=None)
+settings.load_profile('repeatable')
+
+# Offline tests run where ROS was never installed.
+collect_ignore_glob = [] if find_spec('rclpy') else ['test_ros_*.py']
+
+RECORDINGS = Path(
+    os.environ.get('RPGD_ROS_RECORDINGS', Path(__file__).parents[2] / 'shared' / 'data')
+)
+
+
+@pytest.fixture(scope='session')
+def recording() -> Callable[[str], Path]:
+    """Return a function that finds a recorded file by name, or skips the test without it."""
+
+    def find(name: str) -> Path:
+        path = RECORDINGS / name
+        if not path.is_file():
+            pytest.skip(f'{name} is not in {RECORDINGS}: set RPGD_ROS_RECORDINGS to its folder')
+        return path
+
+    return find
