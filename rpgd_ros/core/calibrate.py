@@ -18,9 +18,9 @@ from rpgd_ros.core.config import (
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.linearise import Sight, residuals
 from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, fit_noise
-from rpgd_ros.core.quality import check_body, covariance, fits, motion_m, refuse, spread, tally
+from rpgd_ros.core.quality import check_body, covariance, fits, motion_m, refuse, spread
 from rpgd_ros.core.ransac import published, robust_start
-from rpgd_ros.core.refine import Descent, adam, descend
+from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
 from rpgd_ros.core.result import Calibration
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from rpgd_ros.core.observations import Observations
 
 MIDDLE_POINTS = 32_768  # the noise is fitted on them: 0.5 % of its sigma
-NOISE_ROUNDS = 3  # of descending and fitting the noise again
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +97,13 @@ def calibrate(
     else:
         start = robust_start(sights, config.ransac, rng, check=run.check('start'))
         pose, noise = start.candidates[0].world_T_mocap, start.candidates[0].noise
-    descent, loss = _refine(sights, pose, noise, centroid, config, run)
-    return _judge(sights, descent, loss, centroid, observations.joint_names, config, run)
+    descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
+    calibration = _report(
+        sights, descent, loss, threshold_px=threshold_px, centroid=centroid,
+        joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
+    )  # fmt: skip
+    refuse(calibration, config.accept, motion_m(sights))
+    return calibration
 
 
 def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight]:
@@ -128,15 +132,17 @@ def _centroid(sights: Sequence[Sight]) -> Array:
 
 def _thin(sights: Sequence[Sight], stride: int, choose: Callable[[int], IntArray]) -> list[Sight]:
     """Downsample in time: every stride-th frame, or those that `choose` picks of n."""
-    return [
-        s.at_frames(np.arange(0, s.view.n_frames, stride) if stride else choose(s.view.n_frames))
-        for s in sights
-    ]
+    out = []
+    for s in sights:
+        n = s.view.n_frames
+        frames = np.arange(0, n, stride) if stride else choose(n)
+        out.append(s if len(frames) == n else s.at_frames(frames))
+    return out
 
 
 def _budget(sights: Sequence[Sight], points: int) -> Callable[[int], IntArray]:
     """Return a chooser that keeps about `points` correspondences over all cameras."""
-    total = sum(s.view.uv.shape[0] * s.view.uv.shape[1] for s in sights)
+    total = sum(s.view.n_frames * s.view.n_joints for s in sights)
     share = min(1.0, points / max(total, 1))
     return lambda n_frames: spread(n_frames, max(1, int(np.ceil(share * n_frames))))
 
@@ -154,41 +160,34 @@ def _published_start(
 def _refine(
     sights: Sequence[Sight], pose: RigidTransform, noise: NoiseModel, centroid: Array,
     config: CalibrationConfig, run: _Run,
-) -> tuple[Descent, Loss]:  # fmt: skip
-    """Refine as configured, and end with the sums that covariance and figures need."""
-    check = run.check('refinement')
-    refine = config.refine
+) -> tuple[Descent, Loss, float]:  # fmt: skip
+    """Refine as configured; return the end, the loss, and the threshold of an inlier."""
+    check, refine, steps = run.check('refinement'), config.refine, config.refine.iterations
     if refine.method == 'newton' and refine.loss == 'robust':
-        pose, noise = _settle_noise(sights, pose, centroid, refine.iterations, run)
+        # The noise is fitted on a part of the data, where the pose is already at its optimum.
+        middle = _thin(sights, 0, _budget(sights, MIDDLE_POINTS))
+        pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
+        noise = fit_noise(_residuals_px(middle, pose))
     loss: Loss = SquaredLoss() if refine.loss == 'squared' else noise
+    threshold_px = config.ransac.threshold_px or noise.threshold_px
+    used = _thin(sights, refine.frame_stride, _budget(sights, refine.max_correspondences))
+    if refine.method == 'newton':
+        end = finish(used, pose, centroid, loss, max_steps=steps, threshold_px=threshold_px,
+                     check=check)  # fmt: skip
+        return end, loss, threshold_px
     if refine.method == 'adam':
         thin = _thin(sights, refine.frame_stride, lambda n: spread(n, PAPER_REFINE_FRAMES))
         pose = adam(thin, pose, refine, loss, check=check)
-    steps = refine.iterations if refine.method == 'newton' else 1
-    used = _thin(sights, refine.frame_stride, _budget(sights, refine.max_correspondences))
-    return descend(used, pose, centroid, loss, max_steps=steps, check=check), loss
-
-
-def _settle_noise(
-    sights: Sequence[Sight], pose: RigidTransform, centroid: Array, max_steps: int, run: _Run
-) -> tuple[RigidTransform, NoiseModel]:
-    """Fit noise and pose to each other on a part of the data."""
-    middle = _thin(sights, 0, _budget(sights, MIDDLE_POINTS))
-    noise = fit_noise(_residuals_px(middle, pose))
-    for _ in range(NOISE_ROUNDS):
-        check = run.check('noise')
-        pose = descend(middle, pose, centroid, noise, max_steps=max_steps, check=check).pose
-        noise = fit_noise(_residuals_px(middle, pose))
-    return pose, noise
+    return appraise(used, pose, centroid, loss, threshold_px=threshold_px), loss, threshold_px
 
 
 def _residuals_px(sights: Sequence[Sight], pose: RigidTransform) -> Array:
     """(n,) residuals of all correspondences before a camera, pixels; never empty."""
     out = [np.empty(0)]
     for s in sights:
-        for _, x, uv in s.chunks():
+        for x, uv in s.chunks():
             res = residuals(s.camera, s.camera_T_world @ pose, x, uv)
-            out.append(np.sqrt(res.du**2 + res.dv**2)[res.in_view])
+            out.append(np.sqrt(res.squared)[res.in_view])
     joined = np.concatenate(out)
     if not len(joined):
         msg = 'no keypoint lies before a camera in the best pose found'
@@ -196,23 +195,20 @@ def _residuals_px(sights: Sequence[Sight], pose: RigidTransform) -> Array:
     return joined
 
 
-def _judge(
-    sights: Sequence[Sight], descent: Descent, loss: Loss, centroid: Array,
-    joint_names: tuple[str, ...] | None, config: CalibrationConfig, run: _Run,
+def _report(
+    sights: Sequence[Sight], descent: Descent, loss: Loss, *, threshold_px: float,
+    centroid: Array, joint_names: tuple[str, ...] | None, config: CalibrationConfig, seconds: float,
 ) -> Calibration:  # fmt: skip
-    """Collect the figures and pass the gates."""
-    threshold = config.ransac.threshold_px
-    if not threshold:
-        threshold = loss.threshold_px if isinstance(loss, NoiseModel) else PAPER_THRESHOLD_PX
-    counts = tally(sights, descent.pose, threshold)
+    """Collect the figures."""
+    counts = descent.examination.tally
     n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())
     variance = 1.0
     if isinstance(loss, SquaredLoss):
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
-        variance = 2.0 * descent.normal.cost / max(2 * n - 6, 1)
+        variance = 2.0 * descent.examination.cost / max(2 * n - 6, 1)
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
-    names = joint_names or tuple(str(j) for j in range(sights[0].view.uv.shape[1]))
-    calibration = Calibration(
+    names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
+    return Calibration(
         world_T_mocap=descent.pose,
         covariance=covariance(descent, centroid, variance=variance),
         mpjpe_px=float(counts.error_px.sum()) / n if n else float('nan'),
@@ -222,12 +218,10 @@ def _judge(
         inliers=n_in,
         correspondences=n,
         frames=int(counts.frames.max()),
-        threshold_px=threshold,
+        threshold_px=threshold_px,
         centroid_mocap=centroid,
         per_camera=fits(counts, [s.camera.name for s in sights], axis=1),
         per_joint=fits(counts, names, axis=0),
         config=config,
-        seconds=run.clock() - run.started,
+        seconds=seconds,
     )
-    refuse(calibration, config.accept, motion_m(sights))
-    return calibration

@@ -15,6 +15,7 @@ import numpy as np
 from rpgd_ros.core.geometry import Array, BoolArray, RigidTransform
 
 Model = Literal['pinhole', 'equidistant']
+Coefficients = tuple[float, ...]
 
 # OpenCV's orders: k1 k2 p1 p2 [k3 [k4 k5 k6]] (plumb_bob, rational_polynomial); k1 k2 k3 k4.
 PINHOLE_LENGTHS = (0, 4, 5, 8)
@@ -49,6 +50,9 @@ class Camera:
         model: `pinhole` (plumb_bob, rational_polynomial) or `equidistant` (fisheye).
         max_radius: Largest ideal normalised radius at which the distortion is still invertible.
             Beyond it the polynomial folds back and would put far points into the image.
+        is_distorted: Whether the lens model differs from the ideal pinhole.
+        coefficients: The distortion, filled with zeros to 8 (`pinhole`) or 4 Python floats, which
+            leave single-precision columns single.
 
     Raises:
         ValueError: Wrong shapes, not finite, a focal length that is not positive, skew.
@@ -62,6 +66,8 @@ class Camera:
     camera_T_world: RigidTransform | None = None
     model: Model = 'pinhole'
     max_radius: float = field(init=False)
+    is_distorted: bool = field(init=False)
+    coefficients: tuple[float, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Check and copy the arrays, and find where the lens model ends."""
@@ -77,17 +83,17 @@ class Camera:
         object.__setattr__(self, 'matrix', matrix)
         object.__setattr__(self, 'distortion', distortion)
         object.__setattr__(self, 'size', (width, height))
+        length = 4 if self.model == 'equidistant' else 8
+        padded = (*distortion.tolist(), *[0.0] * (length - distortion.size))
+        object.__setattr__(self, 'coefficients', padded)
+        is_distorted = self.model == 'equidistant' or any(padded)
+        object.__setattr__(self, 'is_distorted', is_distorted)
         object.__setattr__(self, 'max_radius', _fold_radius(self))
 
     @property
     def focal_px(self) -> float:
         """Geometric mean of the two focal lengths, pixels."""
         return float(np.sqrt(self.matrix[0, 0] * self.matrix[1, 1]))
-
-    @property
-    def is_distorted(self) -> bool:
-        """Whether the lens model differs from the ideal pinhole."""
-        return self.model == 'equidistant' or bool(np.any(self.distortion))
 
     def project_camera(self, x_camera: Array) -> Array:
         """Project points of the camera frame.
@@ -150,12 +156,12 @@ def distort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     if camera.model == 'equidistant':
         r = np.hypot(x, y)
         theta = np.arctan(r)
-        scale = _equidistant_angle(camera.distortion, theta) / np.where(r > 1e-9, r, 1.0)
+        scale = _equidistant_angle(camera.coefficients, theta) / np.where(r > 1e-9, r, 1.0)
         scale = np.where(r > 1e-9, scale, 1.0)
         return x * scale, y * scale
-    p1, p2 = camera.distortion[2:4]
+    p1, p2 = camera.coefficients[2:4]
     r2 = x * x + y * y
-    radial = _radial(camera.distortion, r2)
+    radial = _radial(camera.coefficients, r2)
     xy2 = 2.0 * x * y
     return (
         x * radial + p1 * xy2 + p2 * (r2 + 2.0 * x * x),
@@ -169,12 +175,12 @@ def distort_with_derivatives(camera: Camera, x: Array, y: Array) -> Distorted:
         one, zero = np.ones_like(x), np.zeros_like(x)
         return Distorted(x, y, one, zero, zero, one)
     if camera.model == 'equidistant':
-        return _equidistant_with_derivatives(camera.distortion, x, y)
-    p1, p2 = camera.distortion[2:4]
+        return _equidistant_with_derivatives(camera.coefficients, x, y)
+    p1, p2 = camera.coefficients[2:4]
     xx, yy, xy2 = x * x, y * y, 2.0 * x * y
     r2 = xx + yy
-    radial = _radial(camera.distortion, r2)
-    slope2 = 2.0 * _radial_slope(camera.distortion, r2)
+    radial = _radial(camera.coefficients, r2)
+    slope2 = 2.0 * _radial_slope(camera.coefficients, r2)
     # Both cross derivatives are equal: the lens model is the gradient of a potential.
     cross = 0.5 * xy2 * slope2 + 2.0 * (p1 * x + p2 * y)
     return Distorted(
@@ -187,44 +193,39 @@ def distort_with_derivatives(camera: Camera, x: Array, y: Array) -> Distorted:
     )
 
 
-def _radial(d: Array, r2: Array) -> Array:
-    """Radial factor of plumb_bob (4 or 5 coefficients) or rational_polynomial (8)."""
-    k3 = d[4] if d.size > 4 else 0.0
-    factor = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * k3))
-    if d.size == 8:
+def _radial(d: Coefficients, r2: Array) -> Array:
+    """Radial factor of plumb_bob or, where the last three are not zero, rational_polynomial."""
+    factor: Array = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]))
+    if any(d[5:]):
         factor = factor / (1.0 + r2 * (d[5] + r2 * (d[6] + r2 * d[7])))
     return factor
 
 
-def _radial_slope(d: Array, r2: Array) -> Array:
+def _radial_slope(d: Coefficients, r2: Array) -> Array:
     """Derivative of the radial factor by the squared radius."""
-    k3 = d[4] if d.size > 4 else 0.0
-    slope = d[0] + r2 * (2.0 * d[1] + 3.0 * k3 * r2)
-    if d.size == 8:
+    slope: Array = d[0] + r2 * (2.0 * d[1] + 3.0 * d[4] * r2)
+    if any(d[5:]):
         below = 1.0 + r2 * (d[5] + r2 * (d[6] + r2 * d[7]))
         slope_below = d[5] + r2 * (2.0 * d[6] + 3.0 * d[7] * r2)
         slope = (slope - _radial(d, r2) * slope_below) / below
     return slope
 
 
-def _equidistant_angle(d: Array, theta: Array) -> Array:
+def _equidistant_angle(d: Coefficients, theta: Array) -> Array:
     """Distorted angle of OpenCV's fisheye model."""
-    if d.size == 0:
-        return theta
     t2 = theta * theta
-    return theta * (1.0 + t2 * (d[0] + t2 * (d[1] + t2 * (d[2] + t2 * d[3]))))
+    angle: Array = theta * (1.0 + t2 * (d[0] + t2 * (d[1] + t2 * (d[2] + t2 * d[3]))))
+    return angle
 
 
-def _equidistant_slope(d: Array, theta: Array) -> Array:
+def _equidistant_slope(d: Coefficients, theta: Array) -> Array:
     """Derivative of the distorted angle by the angle."""
-    if d.size == 0:
-        return np.ones_like(theta)
     t2 = theta * theta
     slope: Array = 1.0 + t2 * (3 * d[0] + t2 * (5 * d[1] + t2 * (7 * d[2] + t2 * 9 * d[3])))
     return slope
 
 
-def _equidistant_with_derivatives(d: Array, x: Array, y: Array) -> Distorted:
+def _equidistant_with_derivatives(d: Coefficients, x: Array, y: Array) -> Distorted:
     """Fisheye model: the radius r becomes theta_d(atan r), the direction stays."""
     r = np.hypot(x, y)
     near = r < 1e-9  # the limit on the axis: the identity
@@ -243,7 +244,7 @@ def _equidistant_with_derivatives(d: Array, x: Array, y: Array) -> Distorted:
 def _undistort(camera: Camera, seen: Array) -> Array:
     """Invert `distort` by Newton's method: (n, 2) to (n, 2), NaN where it does not converge."""
     if camera.model == 'equidistant':
-        return _undistort_equidistant(camera.distortion, seen)
+        return _undistort_equidistant(camera.coefficients, seen)
     ideal = seen.copy()
     with np.errstate(all='ignore'):  # points outside the lens model run away; they end as NaN
         for _ in range(UNDISTORT_STEPS):
@@ -257,7 +258,7 @@ def _undistort(camera: Camera, seen: Array) -> Array:
     return ideal
 
 
-def _undistort_equidistant(d: Array, seen: Array) -> Array:
+def _undistort_equidistant(d: Coefficients, seen: Array) -> Array:
     """Invert the fisheye model: Newton's method on the angle from the optical axis."""
     theta_seen = np.hypot(seen[:, 0], seen[:, 1])
     theta = theta_seen.copy()
@@ -299,9 +300,9 @@ def _fold_radius(camera: Camera) -> float:
         return np.inf
     r = np.linspace(0.0, FOLD_SEARCH_RADIUS, 20001)
     if camera.model == 'equidistant':
-        distorted = _equidistant_angle(camera.distortion, np.arctan(r))
+        distorted = _equidistant_angle(camera.coefficients, np.arctan(r))
     else:
         with np.errstate(divide='ignore', invalid='ignore'):
-            distorted = r * _radial(camera.distortion, r * r)
+            distorted = r * _radial(camera.coefficients, r * r)
     folds = np.flatnonzero(~(np.diff(distorted) > 0.0))
     return float(r[folds[0]]) if folds.size else np.inf

@@ -91,7 +91,7 @@ class RigidTransform:
 
     def inverse(self) -> RigidTransform:
         """Return `b_T_a`."""
-        return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
+        return _trusted(self.rotation.T, -self.rotation.T @ self.translation)
 
     @overload
     def __matmul__(self, other: RigidTransform) -> RigidTransform: ...
@@ -100,9 +100,21 @@ class RigidTransform:
     def __matmul__(self, other: RigidTransform | Array) -> RigidTransform | Array:
         """Compose with another transform, or move points of shape (..., 3)."""
         if isinstance(other, RigidTransform):
-            rotation = nearest_rotation(self.rotation @ other.rotation)
-            return RigidTransform(rotation, self.rotation @ other.translation + self.translation)
+            return _trusted(
+                self.rotation @ other.rotation,
+                self.rotation @ other.translation + self.translation,
+            )
         return other @ self.rotation.T + self.translation
+
+
+def _trusted(rotation: Array, translation: Array) -> RigidTransform:
+    """Build from parts known to be valid: the checks cost more than the product itself."""
+    out = object.__new__(RigidTransform)
+    rotation.setflags(write=False)
+    translation.setflags(write=False)
+    object.__setattr__(out, 'rotation', rotation)
+    object.__setattr__(out, 'translation', translation)
+    return out
 
 
 def skew(v: ArrayLike) -> Array:

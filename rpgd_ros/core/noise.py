@@ -11,11 +11,14 @@ where they become the better explanation.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array, BoolArray
+from rpgd_ros.core.geometry import Array
+
+if TYPE_CHECKING:
+    from rpgd_ros.core.linearise import Column, Residuals
 
 TAILS = (3.0, 6.0, 15.0, 1000.0)  # nu: detectors lie between 3 (heavy) and Gaussian
 STARTS = (0.1, 0.3, 0.5)  # quantiles at which sigma is begun: a fit may have several optima
@@ -30,9 +33,7 @@ INLIER_QUANTILE = 0.99  # of the noise: where the threshold is put when none is 
 class Loss(Protocol):
     """A loss rho(s) of the squared residual s, px^2, with 2 rho' >= 0 and rho'' <= 0."""
 
-    def evaluate(
-        self, squared: Array, in_view: BoolArray, seen: BoolArray
-    ) -> tuple[float, Array, Array | None]:
+    def evaluate(self, res: Residuals) -> tuple[float, Column, Column | None]:
         """Return the summed cost, the weights 2 rho', and -4 rho'' (None = zero), each (n,)."""
         ...
 
@@ -41,12 +42,10 @@ class Loss(Protocol):
 class SquaredLoss:
     """Half the squared residual, over the correspondences with depth > 0 (eq. 4, not yet divided)."""
 
-    def evaluate(
-        self, squared: Array, in_view: BoolArray, seen: BoolArray
-    ) -> tuple[float, Array, Array | None]:
+    def evaluate(self, res: Residuals) -> tuple[float, Column, Column | None]:
         """See `Loss`."""
-        del seen
-        return 0.5 * float(squared[in_view].sum()), in_view.astype(np.float64), None
+        cost = 0.5 * float(res.squared.sum(dtype=np.float64))  # zero where not in view
+        return cost, res.in_view.astype(np.float32), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,22 +76,25 @@ class NoiseModel:
         tail = (1.0 - INLIER_QUANTILE) ** (-2.0 / self.nu) - 1.0
         return self.sigma_px * float(np.sqrt(self.nu * tail))
 
-    def evaluate(
-        self, squared: Array, in_view: BoolArray, seen: BoolArray
-    ) -> tuple[float, Array, Array | None]:
+    def evaluate(self, res: Residuals) -> tuple[float, Column, Column | None]:
         """See `Loss`."""
         k = 0.5 * (self.nu + 2.0)
         scale = self.nu * self.sigma_px**2
-        near = squared + scale
-        log_decay = np.log(near) - np.log(scale)
-        density = self.peak * np.exp(-k * log_decay)
-        total = density + self.background
-        pull = k / near
-        belongs = density / total
-        belongs[~in_view] = 0.0
-        weight = 2.0 * belongs * pull
-        bending = 2.0 * weight * pull * (1.0 + (1.0 - belongs) * k)
-        return self._cost(total, in_view, seen), weight, bending
+        near = res.squared
+        near *= 1.0 / scale
+        decay = np.log1p(near)
+        near += 1.0
+        density = np.exp(decay * -k)
+        total = density + self.background / self.peak
+        belongs = np.divide(density, total, out=density)
+        if not res.in_view.all():
+            belongs *= res.in_view
+        weight = belongs * (2.0 * k / scale)
+        weight /= near
+        bending = (1.0 + k - k * belongs) * weight
+        bending *= 2.0 / scale
+        bending /= near
+        return self._cost(total, res), weight, bending
 
     def cost_per_point(self, residual_px: Array) -> float:
         """Mean negative log likelihood of residuals, pixels."""
@@ -100,12 +102,15 @@ class NoiseModel:
         density = self.peak * near ** (-0.5 * (self.nu + 2.0)) + self.background
         return -float(np.log(density).mean())
 
-    def _cost(self, total: Array, in_view: BoolArray, seen: BoolArray) -> float:
-        best = np.log(self.peak + self.background)
-        n_out = int(seen.sum()) - int(in_view.sum())
-        inside = np.log(total[in_view]).sum() if n_out or not in_view.all() else np.log(total).sum()
-        outside = n_out * np.log(self.background)
-        return float(int(seen.sum()) * best - inside - outside)
+    def _cost(self, total: Column, res: Residuals) -> float:
+        """Negative log likelihood above that of a residual of zero; gross where not in view."""
+        floor = self.background / self.peak
+        n_seen, n_in = int(np.count_nonzero(res.seen)), int(np.count_nonzero(res.in_view))
+        logs = np.log(total)
+        if n_in < len(logs):
+            logs[~res.in_view] = 0.0
+        inside = float(logs.sum(dtype=np.float64))
+        return n_seen * float(np.log1p(floor)) - inside - (n_seen - n_in) * float(np.log(floor))
 
 
 def fit_noise(residual_px: Array, *, quick: bool = False) -> NoiseModel:

@@ -37,6 +37,11 @@ class View:
         """Number of instants."""
         return len(self.uv)
 
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return int(self.uv.shape[1])
+
     def seen(self) -> BoolArray:
         """(F, J) whether both sides of a correspondence are there and are numbers."""
         with np.errstate(invalid='ignore', over='ignore'):

@@ -3,81 +3,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
-from rpgd_ros.core.geometry import Array, BoolArray, IntArray, RigidTransform
-from rpgd_ros.core.linearise import residuals
+from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 from rpgd_ros.core.result import Calibration, GroupFit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rpgd_ros.core.config import AcceptConfig
+    from rpgd_ros.core.examine import Tally
     from rpgd_ros.core.linearise import Sight
     from rpgd_ros.core.refine import Descent
 
-QUANTILE_SAMPLE = 100_000  # residuals that median and percentile are taken from: 0.3 % accurate
 # A person: 0.5 m crouching child to 2.5 m arms up. Nothing that is worn or held makes it 5 m.
 LARGEST_BODY_M = 5.0
 SMALLEST_BODY_M = 0.05
 UNITS_PER_M = {'millimetres': 1000.0, 'centimetres': 100.0, 'inches': 39.37}
 TYPICAL_BODY_M = 1.5  # diagonal of the joints' bounding box: 1.2 sitting to 2 walking
 LINE_RATIO = 1e-3  # second over first extent of the points: a line, up to rounding and noise
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tally:
-    """Sums over all correspondences, per camera and joint: (V, J) each.
-
-    Attributes:
-        correspondences: Those before a camera (S of eq. 4).
-        inliers: Those below the threshold (eq. 3).
-        error_px: Summed residuals of the correspondences, pixels.
-        inlier_error_px: Summed residuals of the inliers, pixels.
-        bias_px: (V, J, 2) summed residual vectors of the inliers, pixels.
-        frames: (V,) instants with an inlier.
-        sample_px: Residuals, evenly spread, for quantiles.
-
-    """
-
-    correspondences: IntArray
-    inliers: IntArray
-    error_px: Array
-    inlier_error_px: Array
-    bias_px: Array
-    frames: IntArray
-    sample_px: Array
-
-
-def tally(sights: Sequence[Sight], pose: RigidTransform, threshold_px: float) -> Tally:
-    """Count and sum the residuals of a pose (eq. 2, 3, 7)."""
-    shape = len(sights), sights[0].view.uv.shape[1]
-    n_seen, n_in = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-    error, error_in, bias = np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2))
-    frames = np.zeros(len(sights), np.int64)
-    total = sum(s.view.uv.shape[0] * s.view.uv.shape[1] for s in sights)
-    stride = max(1, total // QUANTILE_SAMPLE)
-    sample = []
-    for v, sight in enumerate(sights):
-        camera_T_mocap = sight.camera_T_world @ pose
-        for _, x, uv in sight.chunks():
-            res = residuals(sight.camera, camera_T_mocap, x, uv)
-            r = np.sqrt(res.du**2 + res.dv**2)
-            near = res.in_view & (r < threshold_px)
-            sample.append(r[::stride][res.in_view[::stride]])
-            by_joint = (-1, shape[1])
-            n_seen[v] += res.in_view.reshape(by_joint).sum(0)
-            n_in[v] += near.reshape(by_joint).sum(0)
-            error[v] += r.reshape(by_joint).sum(0)  # zero where not in view
-            error_in[v] += (r * near).reshape(by_joint).sum(0)
-            bias[v, :, 0] += (res.du * near).reshape(by_joint).sum(0)
-            bias[v, :, 1] += (res.dv * near).reshape(by_joint).sum(0)
-            frames[v] += int(near.reshape(by_joint).any(1).sum())
-    return Tally(n_seen, n_in, error, error_in, bias, frames, np.concatenate(sample))
 
 
 def fits(counts: Tally, names: Sequence[str], *, axis: int) -> dict[str, GroupFit]:
@@ -110,7 +57,8 @@ def covariance(descent: Descent, centroid_mocap: Array, *, variance: float = 1.0
     """
     inverse = _inverse(descent.normal.hessian, descent.normal.information)
     independent = variance * inverse
-    scores = descent.joint_scores[np.any(descent.joint_scores != 0.0, axis=1)]
+    scores = descent.examination.joint_scores
+    scores = scores[np.any(scores != 0.0, axis=1)]
     if len(scores) > 1:
         spread = scores - scores.mean(0)
         clustered = inverse @ (spread.T @ spread) @ inverse * (len(scores) / (len(scores) - 1))
@@ -162,7 +110,7 @@ def check_body(sights: Sequence[Sight]) -> None:
         raise CalibrationError(Reason.TOO_FEW_POINTS, msg)
     _check_size(x)
     points = x[there] - x[there].mean(0)
-    extent = np.linalg.svd(points, compute_uv=False)
+    extent = np.sqrt(np.maximum(np.linalg.eigvalsh(points.T @ points)[::-1], 0.0))
     if extent[1] < LINE_RATIO * extent[0] or extent[0] == 0.0:
         shape = 'point' if extent[0] < 1e-9 else 'line'
         msg = (
@@ -173,8 +121,8 @@ def check_body(sights: Sequence[Sight]) -> None:
 
 
 def _sampled_joints(sight: Sight) -> Array:
-    """(m, J, 3) joints of some 200 frames, NaN where no correspondence is."""
-    view = sight.at_frames(spread(sight.view.n_frames, 200)).view
+    """(m, J, 3) joints of some 100 frames, NaN where no correspondence is."""
+    view = sight.at_frames(spread(sight.view.n_frames, 100)).view
     return np.where(view.seen()[..., None], view.x_mocap, np.nan)
 
 

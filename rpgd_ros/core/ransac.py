@@ -32,6 +32,7 @@ POOL_POINTS_PER_CAMERA = 128  # at least: a camera of a large rig must still sho
 COARSE_POINTS = 256  # first ranking; of those ranked, KEPT go on to the whole pool
 KEPT = 24
 POLISHED = 4  # of each batch: the best by score, different from each other
+WITHIN = 2.0 * np.log(4.0)  # of the best score: others have 4 x its residuals and need no polish
 FIRST_BATCH = 64
 CLEAN_TRIPLETS = 10.0  # expected number of all-inlier triplets at the end: exp(-10) to have none
 SOFT_PX = 2.0  # residuals below it rank alike: a pose of three noisy points is no better than that
@@ -145,9 +146,9 @@ def count_inliers(sights: Sequence[Sight], pose: RigidTransform, threshold_px: f
     """Count correspondences with depth > 0 and a residual below the threshold (eq. 3)."""
     count = 0
     for sight in sights:
-        for _, x, uv in sight.chunks():
+        for x, uv in sight.chunks():
             r = residuals(sight.camera, sight.camera_T_world @ pose, x, uv)
-            count += int((r.in_view & (r.du**2 + r.dv**2 < threshold_px**2)).sum())
+            count += int(np.count_nonzero(r.in_view & (r.squared < threshold_px**2)))
     return count
 
 
@@ -274,7 +275,8 @@ def _best_distinct(pool: Pool, coarse: Pool, rotation: Array, translation: Array
         return []
     first = _rank(coarse, rotation, translation)
     kept = np.argsort(first, kind='stable')[:KEPT]
-    order = kept[np.argsort(_rank(pool, rotation[kept], translation[kept]), kind='stable')]
+    score = _rank(pool, rotation[kept], translation[kept])
+    order = kept[np.argsort(score, kind='stable')][: int((score < score.min() + WITHIN).sum())]
     centre = pool.centroid_mocap
     chosen: list[int] = []
     for h in order:

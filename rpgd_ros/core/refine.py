@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rpgd_ros.core.examine import Examination, examine
 from rpgd_ros.core.geometry import (
     Array,
     RigidTransform,
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 # Newton decrement g^T H^-1 g of a likelihood, in squared standard deviations of the pose.
 CONVERGED = 1e-6  # a thousandth of a sigma: nothing that anybody could measure is left
+GOOD_STEP = 10.0  # from here one step was seen to end at 1e-9 to 1e-6: no need to look again
+COST_ROUNDING = 1e-7  # of the cost: single-precision columns
 MAX_HALVINGS = 8
 ADAM_BETA = (0.9, 0.999)  # as published for Adam
 ADAM_EPSILON = 1e-8
@@ -39,27 +42,23 @@ class Descent:
 
     Attributes:
         pose: world_T_mocap.
-        pivot_world: (3,) pivot of the parameters of `normal`, metres.
-        normal: Sums of the last pass, at `pose`.
-        joint_scores: (J, 6) gradient per joint, at `pose`.
-        steps: Passes over the data.
+        normal: Sums where the last step began.
+        examination: A look at `pose`.
         is_converged: Whether the remaining step is negligible.
 
     """
 
     pose: RigidTransform
-    pivot_world: Array
     normal: Normal
-    joint_scores: Array
-    steps: int
+    examination: Examination
     is_converged: bool
 
 
 def descend(
     sights: Sequence[Sight], pose: RigidTransform, centroid_mocap: Array, loss: Loss,
     *, max_steps: int, check: Callable[[float], None],
-) -> Descent:  # fmt: skip
-    """Go to the nearest optimum of a loss; the cost never rises.
+) -> tuple[RigidTransform, Normal]:  # fmt: skip
+    """Go to the nearest optimum of a loss by Newton's method; the cost never rises.
 
     Args:
         sights: Cameras with their data.
@@ -69,40 +68,74 @@ def descend(
         max_steps: Most passes over the data.
         check: Called with the fraction done; raises to end the run.
 
+    Returns:
+        The pose after the last step, and the sums where that step began.
+
     """
-    n_joints = sights[0].view.uv.shape[1]
-
-    def look(at: RigidTransform) -> Descent:
-        scores = np.zeros((n_joints, 6))
-        pivot = at @ centroid_mocap
-        normal = normal_equations(sights, at, pivot, loss, joint_scores=scores)
-        return Descent(at, pivot, normal, scores, 1, is_converged=False)
-
-    here = look(pose)
-    shrink, steps = 1.0, 1
-    while True:
-        check(steps / max_steps)
-        delta, decrement = _newton_step(here.normal)
-        if decrement < CONVERGED or steps >= max_steps or shrink < 0.5**MAX_HALVINGS:
-            done = decrement < CONVERGED
-            return Descent(here.pose, here.pivot_world, here.normal, here.joint_scores, steps, done)
-        there = look(apply_delta(here.pose, shrink * delta, here.pivot_world))
-        steps += 1
-        if there.normal.cost <= here.normal.cost:
-            here, shrink = there, 1.0
+    pivot = pose @ centroid_mocap
+    normal = normal_equations(sights, pose, pivot, loss)
+    shrink = 1.0
+    for step in range(1, max_steps + 1):
+        check(step / max_steps)
+        delta, decrement = newton_step(normal.hessian, normal.information, normal.gradient)
+        moved = apply_delta(pose, shrink * delta, pivot)
+        if (decrement < GOOD_STEP and shrink == 1.0) or step == max_steps:
+            return moved, normal
+        there_pivot = moved @ centroid_mocap
+        there = normal_equations(sights, moved, there_pivot, loss)
+        if there.cost <= normal.cost * (1.0 + COST_ROUNDING):
+            pose, pivot, normal, shrink = moved, there_pivot, there, 1.0
+        elif shrink < 0.5**MAX_HALVINGS:
+            break
         else:
             shrink *= 0.5
+    return pose, normal
 
 
-def _newton_step(normal: Normal) -> tuple[Array, float]:
+def finish(
+    sights: Sequence[Sight], pose: RigidTransform, centroid_mocap: Array, loss: Loss,
+    *, max_steps: int, threshold_px: float, check: Callable[[float], None],
+) -> Descent:  # fmt: skip
+    """Descend until a look at the end shows that nothing is left to gain.
+
+    Arguments as for `descend`; `threshold_px` is that of the inliers counted at the end.
+    """
+    for _ in range(max_steps):
+        moved, normal = descend(
+            sights, pose, centroid_mocap, loss, max_steps=max_steps, check=check
+        )
+        seen = examine(sights, moved, moved @ centroid_mocap, loss, threshold_px=threshold_px)
+        _, decrement = newton_step(normal.hessian, normal.information, seen.gradient)
+        is_worse = seen.cost > normal.cost * (1.0 + COST_ROUNDING)
+        if is_worse or decrement < CONVERGED:
+            break
+        pose = moved
+    if is_worse:
+        moved = pose
+        seen = examine(sights, moved, moved @ centroid_mocap, loss, threshold_px=threshold_px)
+    return Descent(moved, normal, seen, is_converged=decrement < CONVERGED)
+
+
+def appraise(
+    sights: Sequence[Sight], pose: RigidTransform, centroid_mocap: Array, loss: Loss,
+    *, threshold_px: float,
+) -> Descent:  # fmt: skip
+    """Look at a pose that something else has refined, without moving it."""
+    pivot = pose @ centroid_mocap
+    normal = normal_equations(sights, pose, pivot, loss)
+    seen = examine(sights, pose, pivot, loss, threshold_px=threshold_px)
+    _, decrement = newton_step(normal.hessian, normal.information, seen.gradient)
+    return Descent(pose, normal, seen, is_converged=decrement < CONVERGED)
+
+
+def newton_step(hessian: Array, information: Array, gradient: Array) -> tuple[Array, float]:
     """Return the step and its decrement; Gauss-Newton where the Hessian is not positive."""
-    for matrix in (normal.hessian, normal.information):
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal.information), 1e-30))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
+    for matrix in (hessian, information):
         values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
         if values[0] > 1e-12 * values[-1]:
-            along = vectors.T @ (scale * normal.gradient)
-            delta = -scale * (vectors @ (along / values))
-            return delta, float(along @ (along / values))
+            along = vectors.T @ (scale * gradient)
+            return -scale * (vectors @ (along / values)), float(along @ (along / values))
     return np.zeros(6), 0.0  # nothing pulls along some direction: there is no step to take
 
 
@@ -131,11 +164,11 @@ def published_gradient(
     for sight in sights:
         camera_T_world = sight.camera_T_world
         camera_T_mocap = camera_T_world @ pose
-        for _, x, uv in sight.chunks():
-            res, rows_u, rows_v = linearise(sight.camera, camera_T_mocap, x, uv)
-            added, weight, _ = loss.evaluate(res.du**2 + res.dv**2, res.in_view, res.seen)
+        for x, uv in sight.chunks():
+            res, slopes = linearise(sight.camera, camera_T_mocap, x, uv, np.float64)
+            added, weight, _ = loss.evaluate(res)
             # J_i^T r, by the point in camera coordinates: the last three rows of the twist.
-            pull = rows_u[3:] * (res.du * weight) + rows_v[3:] * (res.dv * weight)
+            pull = slopes.pull(res.du * weight, res.dv * weight)[3:]
             force += camera_T_world.rotation.T @ pull.sum(1)
             moment += camera_T_world.rotation.T @ pull[:, res.seen] @ x[res.seen]
             cost += added
