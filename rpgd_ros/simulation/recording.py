@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a simulated scene leaves behind: streams of the sensors, and the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rpgd_ros.core.camera import Camera
+from rpgd_ros.core.geometry import Array, BoolArray, IntArray, RigidTransform
+from rpgd_ros.core.observations import MocapTrack, Observations, View
+from rpgd_ros.simulation.joints import landmarks_of
+from rpgd_ros.simulation.presets import Preset
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MocapStream:
+    """What the MoCap system sends.
+
+    Attributes:
+        stamp_ns: (M,) acquisition stamps.
+        receive_ns: (M,) arrival.
+        x_mocap: (M, J, 3) metres, MoCap frame.
+
+    """
+
+    stamp_ns: IntArray
+    receive_ns: IntArray
+    x_mocap: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraStream:
+    """What the detector of one camera sends.
+
+    Attributes:
+        stamp_ns: (F,) acquisition stamps of the images.
+        receive_ns: (F,) arrival.
+        uv: (F, J, 2) pixels; NaN = not reported. A frame without any keypoint was not sent.
+        confidence: (F, J) scores, 0 where not reported.
+
+    """
+
+    stamp_ns: IntArray
+    receive_ns: IntArray
+    uv: Array
+    confidence: Array
+
+    @property
+    def is_sent(self) -> BoolArray:
+        """(F,) whether the detector reported anything."""
+        return np.asarray(np.isfinite(self.uv[..., 0]).any(-1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What no solver may see.
+
+    Attributes:
+        world_T_mocap: The transform to be found.
+        inliers: Per camera (F, J), reported keypoints that carry nothing but noise; columns as
+            those of the keypoints.
+        sigma_px: Scale of the keypoint noise per axis, pixels.
+        student_nu: Degrees of freedom of that noise; 0 = Gaussian.
+        sigma_m: Noise of the skeleton per axis, metres.
+        lags_s: Per camera, how late the video is stamped, seconds.
+        control_world: (N, 3) places of some joints, metres, world frame, straight from the body.
+        control_mocap: (N, 3) the same places, metres, MoCap frame.
+
+    """
+
+    world_T_mocap: RigidTransform
+    inliers: tuple[BoolArray, ...]
+    sigma_px: float
+    student_nu: float
+    sigma_m: float
+    lags_s: tuple[float, ...]
+    control_world: Array
+    control_mocap: Array
+
+    @property
+    def inlier(self) -> BoolArray:
+        """(V, F, J) the masks of all cameras, where all have equally many frames."""
+        return np.stack(self.inliers)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedRecording:
+    """Streams of all sensors, with the truth beside them.
+
+    Attributes:
+        preset: Settings of the scene.
+        seed: It was drawn with.
+        cameras: The rig, calibrated without error.
+        mocap: The skeletons.
+        streams: The detections, in the order of the cameras.
+        truth: What is to be found.
+
+    """
+
+    preset: Preset
+    seed: int
+    cameras: tuple[Camera, ...]
+    mocap: MocapStream
+    streams: tuple[CameraStream, ...]
+    truth: Truth
+
+    def observations(self) -> Observations:
+        """Pair skeletons and keypoints.
+
+        Columns are the landmarks that both conventions share. Skeletons are interpolated to the
+        stamps of each camera, where these differ from the MoCap's.
+        """
+        mocap_joints = landmarks_of(self.preset.mocap_joints)
+        keypoint_joints = landmarks_of(self.preset.keypoint_joints)
+        shared = [name for name in mocap_joints if name in keypoint_joints]
+        x_mocap = _columns(self.mocap.x_mocap, [mocap_joints.index(name) for name in shared])
+        pick = [keypoint_joints.index(name) for name in shared]
+        track = MocapTrack(self.mocap.stamp_ns, x_mocap)
+        views = tuple(
+            View(
+                s.stamp_ns,
+                _skeleton_at(track, s.stamp_ns),
+                _columns(s.uv, pick),
+                _columns(s.confidence, pick),
+            )
+            for s in self.streams
+        )
+        return Observations(views, track, tuple(shared))
+
+
+def _columns(values: Array, pick: list[int]) -> Array:
+    """Return columns of axis 1; the array itself where all are wanted in their order."""
+    return values if pick == list(range(values.shape[1])) else values[:, pick]
+
+
+def _skeleton_at(track: MocapTrack, stamp_ns: IntArray) -> Array:
+    """Return skeletons (F, J, 3) at stamps (F,); NaN outside the track."""
+    if np.array_equal(stamp_ns, track.stamp_ns):
+        return track.x_mocap
+    after = np.clip(np.searchsorted(track.stamp_ns, stamp_ns), 1, len(track.stamp_ns) - 1)
+    before = after - 1
+    gap = (track.stamp_ns[after] - track.stamp_ns[before]).astype(np.float64)
+    share = (stamp_ns - track.stamp_ns[before]) / gap
+    share[(share < 0.0) | (share > 1.0)] = np.nan
+    share = share[:, None, None]
+    x: Array = (1.0 - share) * track.x_mocap[before] + share * track.x_mocap[after]
+    return x
