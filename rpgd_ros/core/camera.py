@@ -22,6 +22,7 @@ PINHOLE_LENGTHS = (0, 4, 5, 8)
 EQUIDISTANT_LENGTHS = (0, 4)
 MIN_DEPTH = 1e-6  # metres in front of the camera: nearer, the quotient x / z has no digits left
 UNDISTORT_STEPS = 8  # Newton: digits double, five steps reach 1e-12 inside every lens tried
+UNDISTORT_DONE = 1e-12
 UNDISTORT_TOLERANCE = 1e-6  # normalised: 0.001 px at a focal length of 1000 px
 FOLD_SEARCH_RADIUS = 10.0  # normalised image radius, 84 deg off the axis: no lens of this model sees it
 
@@ -251,6 +252,8 @@ def _undistort(camera: Camera, seen: Array) -> Array:
             lens = distort_with_derivatives(camera, ideal[:, 0], ideal[:, 1])
             ex, ey = seen[:, 0] - lens.x, seen[:, 1] - lens.y
             det = lens.dx_dx * lens.dy_dy - lens.dx_dy * lens.dy_dx
+            if not np.nanmax(np.abs(ex) + np.abs(ey), initial=0.0) > UNDISTORT_DONE:
+                break
             ideal[:, 0] += (lens.dy_dy * ex - lens.dx_dy * ey) / det
             ideal[:, 1] += (lens.dx_dx * ey - lens.dy_dx * ex) / det
         x, y = distort(camera, ideal[:, 0], ideal[:, 1])

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 TAILS = (3.0, 6.0, 15.0, 1000.0)  # nu: detectors lie between 3 (heavy) and Gaussian
 STARTS = (0.1, 0.3, 0.5)  # quantiles at which sigma is begun: a fit may have several optima
-FIT_STEPS = 40
-BINS_PER_DECADE = 40  # of the residual: 6 % wide, far below what a sigma can be known to
+FIT_STEPS = 30
+BINS_PER_DECADE = 25  # of the residual: 10 % wide, far below what a sigma can be known to
 DECADES = (-4.0, 4.0)  # 0.1 um on the sensor to far outside the image, pixels
 BROADER = 4.0  # a gross part nearer to the noise than this is noise
 MAX_INLIER_SHARE = 0.999  # keeps a floor under the loss: the one gross error to come is bounded

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rpgd_ros.core.camera import MIN_DEPTH
-from rpgd_ros.core.geometry import Array, IntArray
+from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 from rpgd_ros.core.observations import LARGEST_COORDINATE
 
 if TYPE_CHECKING:
@@ -118,28 +118,22 @@ def _draw_camera(
 ) -> tuple[IntArray, Array, Array]:
     """Return frames (m,), x_mocap (m, 3), ideal keypoints (m, 2) of one camera."""
     view = sight.view
-    n_joints = view.uv.shape[1]
-    total = view.n_frames * n_joints
-    index = np.unique(rng.integers(0, max(total, 1), OVERDRAW * wanted)) if total else np.empty(0, int)
-    frame, x, ideal = _look_up(sight, index)
-    if len(frame) < wanted and total:
-        # Few keypoints are there: look at all of them.
-        seen = np.flatnonzero(view.seen())
-        if len(seen) > OVERDRAW * wanted:
-            seen = np.sort(rng.choice(seen, OVERDRAW * wanted, replace=False))
-        frame, x, ideal = _look_up(sight, seen)
-    if len(frame) > wanted:
-        keep = np.sort(rng.choice(len(frame), wanted, replace=False))
-        frame, x, ideal = frame[keep], x[keep], ideal[keep]
-    return frame, x, ideal
-
-
-def _look_up(sight: Sight, index: IntArray) -> tuple[IntArray, Array, Array]:
-    """Return those of the flat (frame, joint) indices that are seen and inside the lens model."""
-    frame, joint = np.divmod(index, max(1, sight.view.uv.shape[1]))
-    x, uv = sight.view.x_mocap[frame, joint], sight.view.uv[frame, joint]
-    good = (np.abs(x) < LARGEST_COORDINATE).all(-1) & (np.abs(uv) < LARGEST_COORDINATE).all(-1)
-    frame, x = frame[good], x[good]
-    ideal = sight.camera.normalise(uv[good])
+    total = view.n_frames * view.n_joints
+    index = np.unique(rng.integers(0, max(total, 1), OVERDRAW * wanted))
+    index = index[_is_seen(sight, index)] if total else index[:0]
+    if len(index) < wanted and total:
+        index = np.flatnonzero(view.seen())  # few keypoints are there: look at all of them
+    if len(index) > wanted:
+        index = np.sort(rng.choice(index, wanted, replace=False))
+    frame, joint = np.divmod(index, max(1, view.n_joints))
+    ideal = sight.camera.normalise(view.uv[frame, joint])
     good = np.isfinite(ideal).all(-1)
-    return frame[good], x[good], ideal[good]
+    return frame[good], view.x_mocap[frame, joint][good], ideal[good]
+
+
+def _is_seen(sight: Sight, index: IntArray) -> BoolArray:
+    """Whether the flat (frame, joint) indices have both sides of a correspondence."""
+    frame, joint = np.divmod(index, max(1, sight.view.n_joints))
+    x, uv = sight.view.x_mocap[frame, joint], sight.view.uv[frame, joint]
+    seen: BoolArray = (np.abs(x) < LARGEST_COORDINATE).all(-1)
+    return seen & (np.abs(uv) < LARGEST_COORDINATE).all(-1)

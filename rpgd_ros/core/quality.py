@@ -24,6 +24,7 @@ LARGEST_BODY_M = 5.0
 SMALLEST_BODY_M = 0.05
 UNITS_PER_M = {'millimetres': 1000.0, 'centimetres': 100.0, 'inches': 39.37}
 TYPICAL_BODY_M = 1.5  # diagonal of the joints' bounding box: 1.2 sitting to 2 walking
+BODY_FRAMES, BODY_FRAMES_PER_CAMERA = 200, 20  # looked at for size and motion: 10 a second of walk
 LINE_RATIO = 1e-3  # second over first extent of the points: a line, up to rounding and noise
 
 
@@ -99,7 +100,7 @@ def check_body(sights: Sequence[Sight]) -> None:
         CalibrationError: NO_DATA, TOO_FEW_POINTS, WRONG_UNIT, DEGENERATE_GEOMETRY.
 
     """
-    seen = [_sampled_joints(s) for s in sights]
+    seen = [_sampled_joints(s, len(sights)) for s in sights]
     x = np.concatenate(seen) if seen else np.empty((0, 1, 3))
     there = np.isfinite(x).all(-1)
     if not there.any():
@@ -120,9 +121,10 @@ def check_body(sights: Sequence[Sight]) -> None:
         raise CalibrationError(Reason.DEGENERATE_GEOMETRY, msg)
 
 
-def _sampled_joints(sight: Sight) -> Array:
-    """(m, J, 3) joints of some 100 frames, NaN where no correspondence is."""
-    view = sight.at_frames(spread(sight.view.n_frames, 100)).view
+def _sampled_joints(sight: Sight, n_cameras: int) -> Array:
+    """(m, J, 3) joints of this camera's part of some frames, NaN where no correspondence is."""
+    wanted = max(BODY_FRAMES // n_cameras, BODY_FRAMES_PER_CAMERA)
+    view = sight.at_frames(spread(sight.view.n_frames, wanted)).view
     return np.where(view.seen()[..., None], view.x_mocap, np.nan)
 
 
@@ -149,7 +151,7 @@ def motion_m(sights: Sequence[Sight]) -> float:
     """Distance that the body covered: diagonal of the box that holds its centre, metres."""
     centres = []
     for sight in sights:
-        x = _sampled_joints(sight)
+        x = _sampled_joints(sight, len(sights))
         there: BoolArray = np.isfinite(x).all(-1)
         rows = there.sum(1) >= max(1, 0.5 * there.sum(1).max(initial=0))
         if rows.any():

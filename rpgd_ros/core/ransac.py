@@ -221,8 +221,10 @@ def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
 
 def polish(pool: Pool, pose: RigidTransform) -> Candidate:
     """Descend on the pool with a loss whose scale follows the residuals, and fit their spread."""
+    rotations = np.ascontiguousarray(pool.camera_R_world[pool.camera].transpose(1, 2, 0))
+    translations = np.ascontiguousarray(pool.camera_t_world[pool.camera].T)
     for _ in range(POLISH_STEPS):
-        delta, pivot = _polish_step(pool, pose)
+        delta, pivot = _polish_step(pool, pose, rotations, translations)
         pose = apply_delta(pose, delta, pivot)
         if np.abs(delta).max() < POLISH_DONE:
             break
@@ -232,31 +234,39 @@ def polish(pool: Pool, pose: RigidTransform) -> Candidate:
     return Candidate(pose, noise, noise.cost_per_point(residual_px))
 
 
-def _polish_step(pool: Pool, pose: RigidTransform) -> tuple[Array, Array]:
-    """One Gauss-Newton step (w, d) about the centroid, Cauchy weights."""
-    rotated = pool.x_mocap @ pose.rotation.T
-    pivot = rotated.mean(0) + pose.translation
-    r_c, t_c = pool.camera_R_world[pool.camera], pool.camera_t_world[pool.camera]
-    x, y, z = (np.einsum('nij,nj->ni', r_c, rotated + pose.translation) + t_c).T
+def _polish_step(
+    pool: Pool, pose: RigidTransform, rotations: Array, translations: Array
+) -> tuple[Array, Array]:
+    """One Gauss-Newton step (w, d) about the centroid, Cauchy weights.
+
+    Args:
+        pool: The points.
+        pose: Where to linearise.
+        rotations: (3, 3, n) camera_R_world of each point.
+        translations: (3, n) camera_t_world of each point.
+
+    """
+    world = (pool.x_mocap @ pose.rotation.T + pose.translation).T
+    pivot = world.mean(1)
+    x, y, z = (rotations * world).sum(1) + translations
     inside = z > 1e-3
-    iz = pool.focal_px / np.where(inside, z, 1.0)
-    depth_px = np.where(inside, z, 1.0) / pool.focal_px
+    iz = 1.0 / np.where(inside, z, 1.0)
     a, b = x * iz, y * iz
-    du, dv = a - pool.focal_px * pool.ideal[:, 0], b - pool.focal_px * pool.ideal[:, 1]
+    f = pool.focal_px * inside
+    du, dv = f * (a - pool.ideal[:, 0]), f * (b - pool.ideal[:, 1])
     squared = np.where(inside, du * du + dv * dv, np.inf)
-    scale2 = max(float(np.quantile(squared, POLISH_QUANTILE)), 1e-6)
-    weight = 1.0 / (scale2 + squared)
-    slope = a / pool.focal_px, b / pool.focal_px
-    j_u = (r_c[:, 0] - slope[0][:, None] * r_c[:, 2]) / depth_px[:, None]
-    j_v = (r_c[:, 1] - slope[1][:, None] * r_c[:, 2]) / depth_px[:, None]
-    lever = rotated + pose.translation - pivot
-    j_u = np.hstack([np.cross(lever, j_u), j_u])
-    j_v = np.hstack([np.cross(lever, j_v), j_v])
-    w_u, w_v = j_u * weight[:, None], j_v * weight[:, None]
-    du, dv = np.where(inside, du, 0.0), np.where(inside, dv, 0.0)
-    hessian = w_u.T @ j_u + w_v.T @ j_v
-    damping = 1e-9 * np.trace(hessian)
-    return -np.linalg.solve(hessian + damping * np.eye(6), w_u.T @ du + w_v.T @ dv), pivot
+    rank = int(POLISH_QUANTILE * len(squared))
+    weight = 1.0 / (max(float(np.partition(squared, rank)[rank]), 1e-6) + squared)
+    f *= iz
+    lx, ly, lz = world - pivot[:, None]
+    rows = np.empty((2, 6, len(z)))
+    for row, slope, axis in ((rows[0], a, 0), (rows[1], b, 1)):
+        gx, gy, gz = row[3:] = f * (rotations[axis] - slope * rotations[2])
+        row[0], row[1], row[2] = ly * gz - lz * gy, lz * gx - lx * gz, lx * gy - ly * gx
+    weighted = rows * weight
+    hessian = weighted[0] @ rows[0].T + weighted[1] @ rows[1].T
+    damping = 1e-9 * np.trace(hessian) * np.eye(6)
+    return -np.linalg.solve(hessian + damping, weighted[0] @ du + weighted[1] @ dv), pivot
 
 
 def _is_degenerate(x: Array) -> bool:

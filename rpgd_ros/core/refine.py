@@ -96,24 +96,29 @@ def finish(
     sights: Sequence[Sight], pose: RigidTransform, centroid_mocap: Array, loss: Loss,
     *, max_steps: int, threshold_px: float, check: Callable[[float], None],
 ) -> Descent:  # fmt: skip
-    """Descend until a look at the end shows that nothing is left to gain.
+    """Descend from nearby until a look at the end shows that nothing is left to gain.
 
-    Arguments as for `descend`; `threshold_px` is that of the inliers counted at the end.
+    Arguments as for `descend`; `threshold_px` is that of the inliers counted at the end. From the
+    optimum of a part of the data one step is the rule: two passes over all of it.
     """
-    for _ in range(max_steps):
-        moved, normal = descend(
-            sights, pose, centroid_mocap, loss, max_steps=max_steps, check=check
-        )
+    shrink = 1.0
+    normal = normal_equations(sights, pose, pose @ centroid_mocap, loss)
+    for step in range(1, max_steps + 1):
+        check(step / max_steps)
+        delta, _ = newton_step(normal.hessian, normal.information, normal.gradient)
+        moved = apply_delta(pose, shrink * delta, pose @ centroid_mocap)
         seen = examine(sights, moved, moved @ centroid_mocap, loss, threshold_px=threshold_px)
-        _, decrement = newton_step(normal.hessian, normal.information, seen.gradient)
-        is_worse = seen.cost > normal.cost * (1.0 + COST_ROUNDING)
-        if is_worse or decrement < CONVERGED:
-            break
-        pose = moved
-    if is_worse:
-        moved = pose
-        seen = examine(sights, moved, moved @ centroid_mocap, loss, threshold_px=threshold_px)
-    return Descent(moved, normal, seen, is_converged=decrement < CONVERGED)
+        _, left = newton_step(normal.hessian, normal.information, seen.gradient)
+        if seen.cost > normal.cost * (1.0 + COST_ROUNDING):
+            shrink *= 0.5
+            if shrink < 0.5**MAX_HALVINGS:
+                break
+            continue
+        if left < CONVERGED or step == max_steps:
+            return Descent(moved, normal, seen, is_converged=left < CONVERGED)
+        pose, shrink = moved, 1.0
+        normal = normal_equations(sights, pose, pose @ centroid_mocap, loss)
+    return appraise(sights, pose, centroid_mocap, loss, threshold_px=threshold_px)
 
 
 def appraise(
