@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-oldest lint format bench clean
+.PHONY: help setup demo test test-oldest lint bench clean
 
 VENV ?= .venv
 VENV_OLDEST ?= .venv-oldest
@@ -12,9 +12,10 @@ PYTHON ?= python3.12 python3.11 python3
 PYTHON_OLDEST ?= python3.11 $(PYTHON)
 ARGS ?=
 
-# The tests and the demo talk to this machine only; generated messages check what is put in them.
+# The tests and the demo talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
-export ROS_PYTHON_CHECK_FIELDS := 1
+# Messages check what is put in them: without it a wrong type is sent as another number.
+test: export ROS_PYTHON_CHECK_FIELDS := 1
 
 # The venv brings its own ROS. A sourced one, or the guard that a program of another venv left in
 # the environment, would mix the libraries of two.

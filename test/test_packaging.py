@@ -159,3 +159,23 @@ def test_colcon_test_runs_the_tests(tree: Path, colcon: Path) -> None:
     run(colcon, 'test', '--pytest-args', one, cwd=workspace)
     summary = run(colcon, 'test-result', '--all', cwd=workspace)
     assert 'Summary: 1 test, 0 errors, 0 failures, 0 skipped' in summary
+
+
+@pytest.mark.parametrize('target', ['test', 'test-oldest', 'demo'])
+def test_make_keeps_a_sourced_ros_out_of_its_venv(tmp_path: Path, target: str) -> None:
+    """The venv has its own ROS; paths of another, and how to reach its network, stay outside."""
+    if shutil.which('make') is None:
+        pytest.skip('make is not installed')
+    python = tmp_path / 'bin/python'
+    python.parent.mkdir()
+    python.write_text('#!/bin/sh\nenv\n')
+    python.chmod(0o755)
+    (tmp_path / '.ready').touch()
+    sourced = dict.fromkeys(
+        ('AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'PYTHONPATH', 'RMW_IMPLEMENTATION',
+         'ROS_DISCOVERY_SERVER', '_ROS_WHEELS_BOOTSTRAP_COMPLETE'), 'of-another-ros',
+    )  # fmt: skip
+    folders = [f'VENV={tmp_path}', f'VENV_OLDEST={tmp_path}']
+    seen = run('make', '-s', target, *folders, cwd=ROOT, **sourced)
+    assert 'of-another-ros' not in seen
+    assert 'ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST' in seen.splitlines()
