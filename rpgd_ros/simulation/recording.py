@@ -10,8 +10,8 @@ import numpy as np
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray, RigidTransform
 from rpgd_ros.core.observations import MocapTrack, Observations, View
-from rpgd_ros.simulation.joints import landmarks_of
 from rpgd_ros.simulation.presets import Preset
+from rpgd_ros.skeletons import joint_names, match_joints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,17 +106,24 @@ class SimulatedRecording:
     streams: tuple[CameraStream, ...]
     truth: Truth
 
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """(MoCap joint, keypoint) that are one point of the body, in the order of the MoCap."""
+        preset = self.preset
+        mocap_joints, keypoints = (
+            joint_names(convention) for convention in (preset.mocap_joints, preset.keypoint_joints)
+        )
+        return tuple(sorted(match_joints(mocap_joints, keypoints)))
+
     def observations(self) -> Observations:
         """Pair skeletons and keypoints.
 
-        Columns are the landmarks that both conventions share. Skeletons are interpolated to the
-        stamps of each camera, where these differ from the MoCap's.
+        Columns are the `pairs`. Skeletons are interpolated to the stamps of each camera, where
+        these differ from the MoCap's.
         """
-        mocap_joints = landmarks_of(self.preset.mocap_joints)
-        keypoint_joints = landmarks_of(self.preset.keypoint_joints)
-        shared = [name for name in mocap_joints if name in keypoint_joints]
-        x_mocap = _columns(self.mocap.x_mocap, [mocap_joints.index(name) for name in shared])
-        pick = [keypoint_joints.index(name) for name in shared]
+        names = joint_names(self.preset.mocap_joints)
+        x_mocap = _columns(self.mocap.x_mocap, [j for j, _ in self.pairs])
+        pick = [k for _, k in self.pairs]
         track = MocapTrack(self.mocap.stamp_ns, x_mocap)
         views = tuple(
             View(
@@ -127,7 +134,7 @@ class SimulatedRecording:
             )
             for s in self.streams
         )
-        return Observations(views, track, tuple(shared))
+        return Observations(views, track, tuple(names[j] for j, _ in self.pairs))
 
 
 def _columns(values: Array, pick: list[int]) -> Array:

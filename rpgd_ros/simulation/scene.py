@@ -17,11 +17,12 @@ from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.simulation.body import Body, Pose
 from rpgd_ros.simulation.detector import Corruption, Shot, detect
 from rpgd_ros.simulation.gait import rot_z
-from rpgd_ros.simulation.joints import landmarks_of, mirror_of
+from rpgd_ros.simulation.joints import landmarks_of
 from rpgd_ros.simulation.motion import MARGIN_S, MotionName
 from rpgd_ros.simulation.presets import Preset
 from rpgd_ros.simulation.recording import CameraStream, MocapStream, SimulatedRecording, Truth
 from rpgd_ros.simulation.rigs import build_rig
+from rpgd_ros.skeletons import joint_names, mirror
 
 BiasFrame = Literal['heading', 'bone']
 
@@ -148,7 +149,7 @@ def simulate(
         _film(scene, [capture for _, capture in clocks], landmarks, progress),
         scene.preset.detector,
         scene.faults.corruption,
-        mirror=mirror_of(landmarks),
+        mirror=np.array(mirror(joint_names(scene.preset.keypoint_joints))),
         hz=scene.preset.camera_hz,
         rng=rng_detector,
     )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from rpgd_ros.core.camera import Camera
@@ -15,7 +16,14 @@ from rpgd_ros.simulation.scene import BiasFrame, Faults, build_scene, simulate
 
 
 class Twin(NamedTuple):
-    """A calibration case with its answer."""
+    """A calibration case with its answer.
+
+    Attributes:
+        cameras: The rig.
+        observations: What a solver is given.
+        truth: What it has to find; masks have the columns of the observations.
+
+    """
 
     cameras: tuple[Camera, ...]
     observations: Observations
@@ -62,4 +70,7 @@ def twin(
         settings, seed, seconds=seconds, motion=motion, centre=centre, faults=faults
     )
     recording = simulate(scene)
-    return Twin(recording.cameras, recording.observations(), recording.truth)
+    pick = [k for _, k in recording.pairs]
+    inliers = tuple(inlier[:, pick] for inlier in recording.truth.inliers)
+    truth = replace(recording.truth, inliers=inliers)
+    return Twin(recording.cameras, recording.observations(), truth)
