@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serialised messages to arrays and back, without ROS.
+
+The bytes are those of the wire and of bags (CDR): a live node takes them from raw subscriptions.
+"""
+
+from rpgd_ros.messages.camera_info import (
+    CAMERA_INFO,
+    CameraInfo,
+    decode_camera_info,
+    encode_camera_info,
+)
+from rpgd_ros.messages.cdr import MAX_FRAME_ID, MAX_MESSAGE_BYTES
+from rpgd_ros.messages.encode import MAX_JOINTS, encode_point_cloud2, encode_pose_array
+from rpgd_ros.messages.joints import Decoded, JointBatch, decode_joints
+from rpgd_ros.messages.layout import JOINT_TYPES, POINT_CLOUD2, POSE_ARRAY, Drop
+
+__all__ = [
+    'CAMERA_INFO',
+    'JOINT_TYPES',
+    'MAX_FRAME_ID',
+    'MAX_JOINTS',
+    'MAX_MESSAGE_BYTES',
+    'POINT_CLOUD2',
+    'POSE_ARRAY',
+    'CameraInfo',
+    'Decoded',
+    'Drop',
+    'JointBatch',
+    'decode_camera_info',
+    'decode_joints',
+    'encode_camera_info',
+    'encode_point_cloud2',
+    'encode_pose_array',
+]
