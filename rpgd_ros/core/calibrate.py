@@ -17,8 +17,8 @@ from rpgd_ros.core.config import (
 )
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.linearise import Sight, residuals
-from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, fit_noise
-from rpgd_ros.core.quality import check_body, covariance, fits, motion_m, refuse, spread
+from rpgd_ros.core.noise import LARGEST_NOISE, Loss, NoiseModel, SquaredLoss, fit_noise
+from rpgd_ros.core.quality import check_body, covariances, fits, motion_m, refuse, spread
 from rpgd_ros.core.ransac import published, robust_start
 from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
 from rpgd_ros.core.result import Calibration
@@ -154,7 +154,7 @@ def _published_start(
     ransac = replace(config.ransac, threshold_px=tau)
     thin = _thin(sights, ransac.frame_stride, lambda n: spread(n, PAPER_RANSAC_FRAMES))
     pose = published(thin, ransac, rng, check=run.check('start'))
-    return pose, fit_noise(_residuals_px(thin, pose))
+    return pose, _noise_at(thin, pose)
 
 
 def _refine(
@@ -167,7 +167,7 @@ def _refine(
         # The noise is fitted on a part of the data, where the pose is already at its optimum.
         middle = _thin(sights, 0, _budget(sights, MIDDLE_POINTS))
         pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
-        noise = fit_noise(_residuals_px(middle, pose))
+        noise = _noise_at(middle, pose)
     loss: Loss = SquaredLoss() if refine.loss == 'squared' else noise
     threshold_px = config.ransac.threshold_px or noise.threshold_px
     used = _thin(sights, refine.frame_stride, _budget(sights, refine.max_correspondences))
@@ -181,18 +181,24 @@ def _refine(
     return appraise(used, pose, centroid, loss, threshold_px=threshold_px), loss, threshold_px
 
 
-def _residuals_px(sights: Sequence[Sight], pose: RigidTransform) -> Array:
-    """(n,) residuals of all correspondences before a camera, pixels; never empty."""
+def _noise_at(sights: Sequence[Sight], pose: RigidTransform) -> NoiseModel:
+    """Fit the spread of the residuals of a pose.
+
+    Raises:
+        CalibrationError: No keypoint lies before a camera.
+
+    """
     out = [np.empty(0)]
     for s in sights:
         for x, uv in s.chunks():
             res = residuals(s.camera, s.camera_T_world @ pose, x, uv)
             out.append(np.sqrt(res.squared)[res.in_view])
-    joined = np.concatenate(out)
-    if not len(joined):
+    residual_px = np.concatenate(out)
+    if not len(residual_px):
         msg = 'no keypoint lies before a camera in the best pose found'
         raise CalibrationError(Reason.TOO_FEW_INLIERS, msg)
-    return joined
+    largest_px = LARGEST_NOISE * float(np.median([s.camera.focal_px for s in sights]))
+    return fit_noise(residual_px, largest_px=largest_px)
 
 
 def _report(
@@ -206,11 +212,13 @@ def _report(
     if isinstance(loss, SquaredLoss):
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
         variance = 2.0 * descent.examination.cost / max(2 * n - 6, 1)
+    covariance, over_time = covariances(descent, centroid, variance=variance)
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
     return Calibration(
         world_T_mocap=descent.pose,
-        covariance=covariance(descent, centroid, variance=variance),
+        covariance=covariance,
+        covariance_over_time=over_time,
         mpjpe_px=float(counts.error_px.sum()) / n if n else float('nan'),
         median_px=float(median),
         p95_px=float(p95),

@@ -49,8 +49,9 @@ class Camera:
         size: Width and height of the image, pixels.
         camera_T_world: World to camera; None where unknown.
         model: `pinhole` (plumb_bob, rational_polynomial) or `equidistant` (fisheye).
-        max_radius: Largest ideal normalised radius at which the distortion is still invertible.
-            Beyond it the polynomial folds back and would put far points into the image.
+        max_radius: Largest ideal normalised radius at which the distortion is still invertible
+            (at most 10; infinite without distortion). Beyond it the polynomial folds back and
+            would put far points into the image.
         is_distorted: Whether the lens model differs from the ideal pinhole.
         coefficients: The distortion, filled with zeros to 8 (`pinhole`) or 4 Python floats, which
             leave single-precision columns single.
@@ -308,4 +309,4 @@ def _fold_radius(camera: Camera) -> float:
         with np.errstate(divide='ignore', invalid='ignore'):
             distorted = r * _radial(camera.coefficients, r * r)
     folds = np.flatnonzero(~(np.diff(distorted) > 0.0))
-    return float(r[folds[0]]) if folds.size else np.inf
+    return float(r[folds[0]]) if folds.size else FOLD_SEARCH_RADIUS

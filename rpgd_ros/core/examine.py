@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
     from rpgd_ros.core.noise import Loss
 
+# Stretches of time that errors are summed over: long enough to hold a turn of the body and a slip
+# of the detector, and enough of them to estimate six numbers.
+TIME_BLOCKS = 12
 QUANTILE_SAMPLE = 100_000  # residuals that median and percentile are taken from: 0.3 % accurate
 
 
@@ -50,12 +53,14 @@ class Examination:
     Attributes:
         cost: Summed loss.
         joint_scores: (J, 6) gradient of the loss, summed per joint.
+        time_scores: (TIME_BLOCKS, 6) the same, summed per stretch of time over all cameras.
         tally: Sums for the figures.
 
     """
 
     cost: float
     joint_scores: Array
+    time_scores: Array
     tally: Tally
 
     @property
@@ -81,19 +86,36 @@ def examine(
     """
     total = sum(s.view.n_frames * s.view.n_joints for s in sights)
     book = _Book(len(sights), sights[0].view.n_joints, max(1, total // QUANTILE_SAMPLE))
-    scores, cost = np.zeros((sights[0].view.n_joints, 6)), 0.0
-    for v, sight in enumerate(sights):
+    by_joint, by_time, cost = np.zeros((sights[0].view.n_joints, 6)), np.zeros((TIME_BLOCKS, 6)), 0.0
+    for v, (sight, block) in enumerate(zip(sights, time_blocks(sights), strict=True)):
         camera_T_mocap = sight.camera_T_world @ pose
-        of_camera = np.zeros_like(scores)
-        for x, uv in sight.chunks():
+        of_joint, of_time = np.zeros_like(by_joint), np.zeros_like(by_time)
+        for frames, (x, uv) in zip(sight.slices(), sight.chunks(), strict=True):
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
             added, weight, _ = loss.evaluate(res)
             cost += added
             pull = slopes.pull(res.du * weight, res.dv * weight)
-            of_camera += pull.reshape(6, -1, len(scores)).sum(1).T
+            pull = pull.reshape(6, -1, len(by_joint))
+            of_joint += np.add.reduce(pull, 1).T
+            for total, row in zip(of_time.T, np.add.reduce(pull, 2), strict=True):
+                total += np.bincount(block[frames], row, TIME_BLOCKS)
             book.enter(v, res, threshold_px)
-        scores += of_camera @ twist_from_delta(sight.camera_T_world, pivot_world)
-    return Examination(cost, scores, book.close())
+        to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
+        by_joint += of_joint @ to_twist
+        by_time += of_time @ to_twist
+    return Examination(cost, by_joint, by_time, book.close())
+
+
+def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:
+    """Number the stretches of time, the same for all cameras: (F,) of 0 to TIME_BLOCKS - 1 each."""
+    times = [
+        np.linspace(0.0, 1.0, s.view.n_frames) if s.view.stamp_ns is None else s.view.stamp_ns
+        for s in sights
+    ]
+    start = min(t[0] for t in times)
+    length = max(float(t[-1] - start) for t in times)
+    scale = TIME_BLOCKS / length if length > 0.0 else 0.0
+    return [np.minimum((t - start) * scale, TIME_BLOCKS - 1).astype(np.int64) for t in times]
 
 
 class _Book:

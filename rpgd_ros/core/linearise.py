@@ -56,10 +56,14 @@ class Sight:
 
     def chunks(self) -> Iterator[tuple[Array, Array]]:
         """Yield x_mocap (n, 3) and uv (n, 2) of whole frames, about CHUNK points each."""
+        for frames in self.slices():
+            yield self.view.x_mocap[frames].reshape(-1, 3), self.view.uv[frames].reshape(-1, 2)
+
+    def slices(self) -> Iterator[slice]:
+        """Yield the frames of each chunk."""
         step = max(1, CHUNK // max(1, self.view.n_joints))
         for start in range(0, self.view.n_frames, step):
-            frames = slice(start, start + step)
-            yield self.view.x_mocap[frames].reshape(-1, 3), self.view.uv[frames].reshape(-1, 2)
+            yield slice(start, start + step)
 
     def at_frames(self, frames: IntArray) -> Sight:
         """Return the same camera with a selection of its frames."""

@@ -43,12 +43,16 @@ def fits(counts: Tally, names: Sequence[str], *, axis: int) -> dict[str, GroupFi
     return out
 
 
-def covariance(descent: Descent, centroid_mocap: Array, *, variance: float = 1.0) -> Array:
-    """Return the (6, 6) covariance of (d_rot, d_t), see `Calibration.covariance`.
+def covariances(
+    descent: Descent, centroid_mocap: Array, *, variance: float = 1.0
+) -> tuple[Array, Array]:
+    """Return `Calibration.covariance` and `Calibration.covariance_over_time`, (6, 6) each.
 
     A detector's joint is not the MoCap's joint, and the difference does not average out over
-    frames. So the scores are also summed per joint, and their spread between joints gives a
-    second, clustered covariance. The result is the larger of both along every direction.
+    frames. So the pull of the residuals is also summed per joint, and its spread between joints
+    gives a clustered covariance; the first result is at least as large as that and as the one of
+    independent errors. The second is from the spread between stretches of time: it grows when
+    errors last, as those of a detector that follows somebody else.
 
     Args:
         descent: The end of the refinement.
@@ -57,19 +61,27 @@ def covariance(descent: Descent, centroid_mocap: Array, *, variance: float = 1.0
 
     """
     inverse = _inverse(descent.normal.hessian, descent.normal.information)
-    independent = variance * inverse
-    scores = descent.examination.joint_scores
-    scores = scores[np.any(scores != 0.0, axis=1)]
-    if len(scores) > 1:
-        spread = scores - scores.mean(0)
-        clustered = inverse @ (spread.T @ spread) @ inverse * (len(scores) / (len(scores) - 1))
-        independent = larger(independent, clustered)
+    seen = descent.examination
     # From the pivot's displacement d to the translation: d_t = d + lever x w.
     x, y, z = descent.pose.rotation @ centroid_mocap
     to_origin = np.eye(6)
     to_origin[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
-    result: Array = to_origin @ independent @ to_origin.T
-    return 0.5 * (result + result.T)
+
+    def moved(about_pivot: Array) -> Array:
+        out: Array = to_origin @ about_pivot @ to_origin.T
+        return 0.5 * (out + out.T)
+
+    by_joint = inverse @ _spread_between(seen.joint_scores) @ inverse
+    by_time = inverse @ _spread_between(seen.time_scores) @ inverse
+    return moved(larger(variance * inverse, by_joint)), moved(by_time)
+
+
+def _spread_between(scores: Array) -> Array:
+    """(6, 6) covariance of the sum of independent groups, from the scores (groups, 6)."""
+    used = scores[np.any(scores != 0.0, axis=1)]
+    apart = used - used.mean(0) if len(used) else used
+    spread: Array = apart.T @ apart * (len(used) / max(len(used) - 1, 1))
+    return spread
 
 
 def larger(a: Array, b: Array) -> Array:
@@ -176,6 +188,7 @@ def refuse(calibration: Calibration, gates: AcceptConfig, moved_m: float) -> Non
         f'the best pose within {c.threshold_px:.1f} px (least in camera {worst.name}: '
         f'{100 * worst.inlier_ratio:.1f} %)'
     )
+    sigma_deg, sigma_m = c.worst_sigma
     advice = 'Check that cameras and MoCap see the same person and share a clock'
     complaints = (
         (c.inlier_ratio < gates.min_inlier_ratio, Reason.TOO_FEW_INLIERS,
@@ -186,11 +199,11 @@ def refuse(calibration: Calibration, gates: AcceptConfig, moved_m: float) -> Non
          f'{c.frames} frames with an agreeing keypoint, need {gates.min_frames}. Record for longer'),
         (moved_m < gates.min_motion_m, Reason.DEGENERATE_MOTION,
          f'the person moved {moved_m:.2f} m, need {gates.min_motion_m:.2f} m. Walk through the room'),
-        (c.sigma_rotation_deg > gates.max_sigma_deg, Reason.UNCERTAIN,
-         f'the rotation is known to {c.sigma_rotation_deg:.2f} deg only, need '
+        (sigma_deg > gates.max_sigma_deg, Reason.UNCERTAIN,
+         f'the rotation is known to {sigma_deg:.2f} deg only, need '
          f'{gates.max_sigma_deg:.2f} deg. Walk further, and nearer to the cameras'),
-        (c.sigma_position_m > gates.max_sigma_m, Reason.UNCERTAIN,
-         f'the position is known to {1000 * c.sigma_position_m:.0f} mm only, need '
+        (sigma_m > gates.max_sigma_m, Reason.UNCERTAIN,
+         f'the position is known to {1000 * sigma_m:.0f} mm only, need '
          f'{1000 * gates.max_sigma_m:.0f} mm. Walk further, and nearer to the cameras'),
     )  # fmt: skip
     for is_bad, reason, message in complaints:

@@ -18,7 +18,7 @@ import numpy as np
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array, IntArray, RigidTransform, rotation_angle, so3_exp
 from rpgd_ros.core.linearise import apply_delta, residuals
-from rpgd_ros.core.noise import NoiseModel, fit_noise
+from rpgd_ros.core.noise import LARGEST_NOISE, NoiseModel, fit_noise
 from rpgd_ros.core.pool import Pool, make_pool
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ POLISHED = 4  # of each batch: the best by score, different from each other
 WITHIN = 2.0 * np.log(4.0)  # of the best score: others have 4 x its residuals and need no polish
 FIRST_BATCH = 64
 CLEAN_TRIPLETS = 10.0  # expected number of all-inlier triplets at the end: exp(-10) to have none
+UNEXPLAINED_SHARE = 0.2  # the least share of inliers that is accepted by default
 SOFT_PX = 2.0  # residuals below it rank alike: a pose of three noisy points is no better than that
 CAP_PX = 100.0  # residuals beyond it rank alike
 POLISH_QUANTILE = 0.2  # of the residuals: their scale while the share of inliers is unknown
@@ -102,7 +103,7 @@ def robust_start(
             check(drawn / config.iterations)
             found.append(polish(pool, RigidTransform(rotation[index], translation[index])))
         found = _distinct(found, pool.centroid_mocap)
-        if found and drawn * found[0].noise.share**3 >= CLEAN_TRIPLETS:
+        if found and drawn * _believed_share(found[0].noise, pool) ** 3 >= CLEAN_TRIPLETS:
             break
     if not found:
         msg = f'none of {drawn} triplets gave a pose: are all points on one line, or one point?'
@@ -230,7 +231,8 @@ def polish(pool: Pool, pose: RigidTransform) -> Candidate:
             break
     squared = pool.squared_residuals(pose.rotation[None], pose.translation[None])[0]
     residual_px = np.sqrt(np.minimum(squared, 1e8))
-    noise = fit_noise(residual_px, quick=True)
+    largest_px = LARGEST_NOISE * float(np.median(pool.focal_px))
+    noise = fit_noise(residual_px, largest_px=largest_px, quick=True)
     return Candidate(pose, noise, noise.cost_per_point(residual_px))
 
 
@@ -265,7 +267,8 @@ def _polish_step(
         row[0], row[1], row[2] = ly * gz - lz * gy, lz * gx - lx * gz, lx * gy - ly * gx
     weighted = rows * weight
     hessian = weighted[0] @ rows[0].T + weighted[1] @ rows[1].T
-    damping = 1e-9 * np.trace(hessian) * np.eye(6)
+    # Where no point is before a camera nothing pulls, and the floor makes the step zero.
+    damping = max(1e-9 * float(np.trace(hessian)), 1e-12) * np.eye(6)
     return -np.linalg.solve(hessian + damping, weighted[0] @ du + weighted[1] @ dv), pivot
 
 
@@ -277,6 +280,15 @@ def _is_degenerate(x: Array) -> bool:
     area2 = (uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2
     longest2 = max(u @ u, v @ v, (v - u) @ (v - u))
     return bool(area2 < 1e-4 * longest2**2)
+
+
+def _believed_share(noise: NoiseModel, pool: Pool) -> float:
+    """Share of inliers to plan the draws with.
+
+    A spread near the largest that is believed explains any data a little: it is no reason to stop.
+    """
+    is_wide = noise.sigma_px > 0.5 * LARGEST_NOISE * float(np.median(pool.focal_px))
+    return min(noise.share, UNEXPLAINED_SHARE) if is_wide else noise.share
 
 
 def _best_distinct(pool: Pool, coarse: Pool, rotation: Array, translation: Array) -> list[int]:

@@ -47,6 +47,8 @@ class Calibration:
         world_T_mocap: The publication's (R_m, t_m): `x_world = world_T_mocap @ x_mocap`.
         covariance: (6, 6) of (d_rot [rad], d_t [m]), world frame: R_true = exp([d_rot]x) R and
             t_true = t + d_t. The larger of the independent and the per-joint clustered one.
+        covariance_over_time: (6, 6) the same from the spread between stretches of time: larger
+            than `covariance` where errors last. The gates look at both.
         mpjpe_px: Mean residual over all correspondences before a camera (eq. 7), pixels.
         median_px: Median residual, pixels.
         p95_px: 95th percentile of the residuals, pixels.
@@ -79,6 +81,7 @@ class Calibration:
     per_camera: Mapping[str, GroupFit]
     per_joint: Mapping[str, GroupFit]
     config: CalibrationConfig
+    covariance_over_time: Array = field(default_factory=lambda: np.zeros((6, 6)))
     time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
@@ -86,7 +89,12 @@ class Calibration:
     @property
     def sigma_rotation_deg(self) -> float:
         """Standard deviation of the rotation (root of the summed variances), degrees."""
-        return float(np.degrees(np.sqrt(np.trace(self.covariance[:3, :3]))))
+        return _rotation_deg(self.covariance)
+
+    @property
+    def sigma_position_m(self) -> float:
+        """Standard deviation of the body's centroid (root of the summed variances), metres."""
+        return float(np.sqrt(np.trace(self.centroid_covariance)))
 
     @property
     def centroid_covariance(self) -> Array:
@@ -95,13 +103,23 @@ class Calibration:
         The translation is that of the MoCap origin, which may be far from the room: a small
         rotation moves it a long way. The centroid is where the subject is.
         """
-        lever = self.world_T_mocap.rotation @ self.centroid_mocap
-        x, y, z = lever
-        jacobian = np.hstack([[[0, z, -y], [-z, 0, x], [y, -x, 0]], np.eye(3)])
-        covariance: Array = jacobian @ self.covariance @ jacobian.T
-        return covariance
+        return self._at_centroid(self.covariance)
 
     @property
-    def sigma_position_m(self) -> float:
-        """Standard deviation of the body's centroid (root of the summed variances), metres."""
-        return float(np.sqrt(np.trace(self.centroid_covariance)))
+    def worst_sigma(self) -> tuple[float, float]:
+        """The larger standard deviations of both covariances: rotation in degrees, centroid in m."""
+        over_time = np.sqrt(np.trace(self._at_centroid(self.covariance_over_time)))
+        return (
+            max(self.sigma_rotation_deg, _rotation_deg(self.covariance_over_time)),
+            max(self.sigma_position_m, float(over_time)),
+        )
+
+    def _at_centroid(self, covariance: Array) -> Array:
+        x, y, z = self.world_T_mocap.rotation @ self.centroid_mocap
+        jacobian = np.hstack([[[0, z, -y], [-z, 0, x], [y, -x, 0]], np.eye(3)])
+        moved: Array = jacobian @ covariance @ jacobian.T
+        return moved
+
+
+def _rotation_deg(covariance: Array) -> float:
+    return float(np.degrees(np.sqrt(np.trace(covariance[:3, :3]))))
