@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one way in which this package writes a file: whole, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+
+from rpgd_ros.core.errors import InputError, Reason
+
+SUFFIX = '.tmp'
+
+
+def write_atomic(path: Path | str, data: str | bytes, mode: int = 0o644) -> None:
+    """Write a file so that readers, crashes and full disks find the old one or the new one.
+
+    A temporary file in the same folder is written, flushed to the disk and renamed; of several
+    writers the last one wins whole.
+
+    Args:
+        path: Target. The folder must exist.
+        data: Text (UTF-8) or bytes.
+        mode: Permissions of the file.
+
+    Raises:
+        InputError: NOT_WRITABLE. The target is a link, or what the operating system says; an old
+            file is untouched and no temporary one is left.
+
+    """
+    path = Path(path)
+    if path.is_symlink():
+        msg = f'{path} is a symbolic link: give the file itself'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+    try:
+        _replace(path, data.encode() if isinstance(data, str) else data, mode)
+    except OSError as error:
+        msg = f'{path} cannot be written: {error.strerror or error}'
+        raise InputError(Reason.NOT_WRITABLE, msg) from error
+
+
+def remove_leftovers(path: Path | str) -> None:
+    """Remove temporary files that killed writers of a target have left in its folder."""
+    path = Path(path)
+    for leftover in path.parent.glob(f'.{_escaped(path.name)}.*{SUFFIX}'):
+        pid = leftover.name.removeprefix(f'.{path.name}.').partition('.')[0]
+        if pid.isdigit() and not _is_alive(int(pid)):
+            with contextlib.suppress(OSError):
+                leftover.unlink()
+
+
+def _replace(path: Path, data: bytes, mode: int) -> None:
+    # The process is in the name, so that leftovers of a dead one can be told from files at work.
+    prefix = f'.{path.name}.{os.getpid()}.'
+    descriptor, temporary = tempfile.mkstemp(suffix=SUFFIX, prefix=prefix, dir=path.parent)
+    try:
+        with os.fdopen(descriptor, 'wb') as file:
+            file.write(data)
+            file.flush()
+            os.fchmod(file.fileno(), mode)  # mkstemp gives 0600, whatever the umask
+            os.fsync(file.fileno())
+        Path(temporary).replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            Path(temporary).unlink()
+        raise
+    _flush_folder(path.parent)
+
+
+def _flush_folder(folder: Path) -> None:
+    # The file is in place already; some file systems cannot flush a folder.
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+def _escaped(name: str) -> str:
+    return ''.join(f'[{c}]' if c in '*?[' else c for c in name)
