@@ -91,6 +91,8 @@ def _mocap(entries: Entries) -> MocapSource:
 def _camera(node: Node, mocap: MocapSource, common: Mapping[str, str | None]) -> RigCamera:
     entries = node.mapping(('name', 'keypoints'), CAMERA_KEYS)
     name = _matching(entries['name'], NAME, 'a letter, then letters, digits or _')
+    if name == 'mocap':
+        entries['name'].refuse('mocap is the name of the other stream: call the camera otherwise')
     keypoints = _joint_names(entries['keypoints'])
     # Of both maps, by the detector's own names, so that the camera's goes before the common one.
     name_of = {m: k for m, k in zip(landmarks(keypoints), keypoints, strict=True) if m}

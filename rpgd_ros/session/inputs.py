@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One stream of a session: decoding, units, the choice of joints, counts, the store."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from rpgd_ros.core.camera import Camera
+from rpgd_ros.core.geometry import Array, BoolArray, RigidTransform
+from rpgd_ros.io.rig import METRES_PER, MocapSource, RigCamera
+from rpgd_ros.messages import CameraInfo, decode_joints
+from rpgd_ros.pairing import BufferConfig, JointStream, Samples
+
+# Pixels of an image are counted in hundreds: a median below 2 can only be shares of its size.
+LARGEST_NORMALISED = 2.0
+MOTION_FRAMES = 200  # of which the way of the body is measured, spread over the recording
+
+
+class StreamInput:
+    """What skeletons and keypoints have in common.
+
+    Attributes:
+        store: The samples, of the joints that are used.
+        frame_id: Frame of the first usable message, to which the others must keep; None before.
+
+    """
+
+    def __init__(
+        self,
+        *,
+        n_joints: int,
+        used: Sequence[int],
+        n_values: Literal[2, 3],
+        buffer: BufferConfig,
+    ) -> None:
+        """Start empty.
+
+        Args:
+            n_joints: Joints that a message has.
+            used: Those that are kept, in this order.
+            n_values: Coordinates of each.
+            buffer: Bounds of the store.
+
+        """
+        self.store = JointStream(
+            buffer.max_frames, buffer.max_age_s, n_joints=len(used), n_values=n_values
+        )
+        self.frame_id: str | None = None
+        self._n_joints = n_joints
+        self._n_values: Literal[2, 3] = n_values
+        self._used = np.array(used, np.int64)
+        self._n_received = 0
+        self._dropped: Counter[str] = Counter()
+        self._joints: Counter[str] = Counter()
+
+    def add(
+        self,
+        msgtype: str,
+        payloads: Sequence[bytes],
+        receive_ns: Sequence[int],
+        *,
+        zero_is_missing: bool,
+        use_receive_time: bool,
+    ) -> bool:
+        """Take serialised messages; return whether a backward jump of the clock was believed."""
+        self._n_received += len(payloads)
+        decoded = decode_joints(
+            msgtype,
+            payloads,
+            n_joints=self._n_joints,
+            n_values=self._n_values,
+            zero_is_missing=zero_is_missing,
+            frame_id=self.frame_id,
+            needs_stamp=not use_receive_time,
+        )
+        if decoded.dropped:
+            self._dropped.update(decoded.dropped)
+        if decoded.missing:
+            self._joints.update(decoded.missing)
+        batch = decoded.batch
+        if batch is None:
+            return False
+        self.frame_id = batch.frame_id
+        stamp_ns = batch.stamp_ns
+        if use_receive_time:
+            stamp_ns = np.array([receive_ns[i] for i in batch.index], np.int64)
+        values = batch.values.take(self._used, axis=1)
+        confidence = batch.confidence
+        if confidence is not None:
+            confidence = confidence.take(self._used, axis=1)
+        return self.store.add(stamp_ns, self._prepared(values, confidence), confidence)
+
+    def clear(self) -> None:
+        """Forget the messages and their frame; the counts stay."""
+        self.store.clear()
+        self.frame_id = None
+
+    def counts(self) -> dict[str, int]:
+        """Return what became of the messages, and what was missing in them."""
+        stored = Counter(self.store.counts)
+        del stored['received']
+        return {'received': self._n_received, **(stored + self._dropped), **self._joints}
+
+    def _prepared(self, values: Array, confidence: Array | None) -> Array:
+        """Return coordinates as they are to be stored."""
+        del confidence
+        return values
+
+
+class MocapInput(StreamInput):
+    """The skeletons, in metres."""
+
+    def __init__(self, source: MocapSource, used: Sequence[int], buffer: BufferConfig) -> None:
+        """Start empty; `used` are the joints that some camera sees."""
+        super().__init__(n_joints=len(source.joints), used=used, n_values=3, buffer=buffer)
+        self._scale = METRES_PER[source.units]
+
+    def motion_m(self) -> float:
+        """Return how far the body moved: diagonal of the box that holds its centre, metres."""
+        x = self.store.arrays().values
+        if not len(x):
+            return 0.0
+        x = x[np.linspace(0, len(x) - 1, min(len(x), MOTION_FRAMES)).astype(np.int64)]
+        there: BoolArray = np.isfinite(x.sum(-1))
+        n_there = there.sum(1)
+        whole = n_there >= max(1.0, 0.5 * float(n_there.max()))
+        if not whole.any():
+            return 0.0
+        centres = np.nanmean(np.where(there[..., None], x, np.nan)[whole], 1)
+        low, high = np.quantile(centres, [0.02, 0.98], axis=0)
+        return float(np.linalg.norm(high - low))
+
+    def _prepared(self, values: Array, confidence: Array | None) -> Array:
+        del confidence
+        return values if self._scale == 1.0 else values * self._scale
+
+
+class CameraInput(StreamInput):
+    """The keypoints of one camera, as sent, and what is known of the camera.
+
+    Attributes:
+        rig: The camera in the rig file.
+        camera: With intrinsics; its pose may be unknown. None until they arrive.
+
+    """
+
+    def __init__(self, rig: RigCamera, columns: Sequence[int], buffer: BufferConfig) -> None:
+        """Start empty; `columns` are the MoCap joints of the observations."""
+        super().__init__(
+            n_joints=len(rig.keypoint_joints),
+            used=[k for _, k in rig.pairs],
+            n_values=2,
+            buffer=buffer,
+        )
+        self.rig = rig
+        self.camera: Camera | None = rig.camera
+        self._pose = rig.extrinsics
+        self._info: CameraInfo | None = None
+        self._n_columns = len(columns)
+        self._columns = np.array([columns.index(j) for j, _ in rig.pairs], np.int64)
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the pose in the world is known."""
+        return self._pose is not None
+
+    def set_info(self, info: CameraInfo) -> None:
+        """Take intrinsics, unless the rig file gives them; others than before start it over."""
+        if self.rig.camera is not None or (self._info and _are_equal(self._info, info)):
+            return
+        camera = info.camera(self.rig.name, self._pose, is_rectified=self.rig.rectified)
+        if self._info is not None:
+            self.store.clear()
+        self._info, self.camera = info, camera
+
+    def set_pose(self, camera_T_world: RigidTransform) -> None:
+        """Take the pose, unless the rig file gives it; another than before starts it over."""
+        if self.rig.extrinsics is not None:
+            return
+        if self._pose is not None:
+            if np.array_equal(self._pose.matrix, camera_T_world.matrix):
+                return
+            self.store.clear()
+        self._pose = camera_T_world
+        if self._info is not None:
+            self.camera = self._info.camera(
+                self.rig.name, camera_T_world, is_rectified=self.rig.rectified
+            )
+        elif self.camera is not None:
+            self.camera = replace(self.camera, camera_T_world=camera_T_world)
+
+    def keypoints(self, size: tuple[int, int]) -> Samples:
+        """Return keypoints in the columns of the observations: (F, J, 2) pixels, NaN = missing."""
+        samples = self.store.arrays()
+        uv, confidence = samples.values, samples.confidence
+        scale = np.array(size, np.float64) if self._is_normalised(uv) else None
+        out = np.full((len(uv), self._n_columns, 2), np.nan)
+        out[:, self._columns] = uv if scale is None else uv * scale
+        if confidence is None:
+            return Samples(samples.stamp_ns, out, None)
+        scores = np.full(out.shape[:2], np.nan)
+        scores[:, self._columns] = confidence
+        out[scores < self.rig.min_confidence] = np.nan
+        return Samples(samples.stamp_ns, out, scores)
+
+    def _is_normalised(self, uv: Array) -> bool:
+        if self.rig.units != 'auto':
+            return self.rig.units == 'normalized'
+        there = np.abs(uv[np.isfinite(uv)])
+        return bool(there.size) and float(np.median(there)) < LARGEST_NORMALISED
+
+    def _prepared(self, values: Array, confidence: Array | None) -> Array:
+        # Low scores are taken out by `keypoints`, so that a new limit holds for what is stored.
+        if confidence is not None and self.rig.min_confidence > 0.0:
+            low = int(np.count_nonzero(confidence < self.rig.min_confidence))
+            if low:
+                self._joints['low_confidence'] += low
+        return values
+
+
+def _are_equal(a: CameraInfo, b: CameraInfo) -> bool:
+    """Tell whether two messages describe the same image, whatever their stamps."""
+    return (a.size, a.model, a.frame_id) == (b.size, b.model, b.frame_id) and all(
+        np.array_equal(getattr(a, name), getattr(b, name))
+        for name in ('matrix', 'distortion', 'rectified_matrix', 'rectification')
+    )
+
+
+def describe(counts: Mapping[str, int]) -> str:
+    """Say why messages that came were not kept: '40 received: 40 wrong_joints'."""
+    others = {k: n for k, n in counts.items() if k not in {'received', 'kept'} and n}
+    why = ', '.join(f'{n} {reason}' for reason, n in others.items()) or 'all kept'
+    return f'{counts["received"]} received: {why}'
