@@ -15,9 +15,17 @@ from rpgd_ros.core.config import (
     PAPER_THRESHOLD_PX,
     CalibrationConfig,
 )
+from rpgd_ros.core.diagnose import (
+    MAY_BE_MIRRORED,
+    MIRRORED,
+    is_mirrored,
+    refuse_ambiguous,
+    refuse_swapped,
+)
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.linearise import Sight, residuals
 from rpgd_ros.core.noise import LARGEST_NOISE, Loss, NoiseModel, SquaredLoss, fit_noise
+from rpgd_ros.core.polish import Candidate
 from rpgd_ros.core.quality import check_body, covariances, fits, motion_m, refuse, spread
 from rpgd_ros.core.ransac import published, robust_start
 from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
@@ -92,17 +100,28 @@ def calibrate(
     check_body(sights)
     rng = np.random.default_rng(config.ransac.seed if seed is None else seed)
     centroid = _centroid(sights)
+    candidates: tuple[Candidate, ...] = ()
     if config.ransac.score == 'inliers':
         pose, noise = _published_start(sights, config, rng, run)
     else:
-        start = robust_start(sights, config.ransac, rng, check=run.check('start'))
-        pose, noise = start.candidates[0].world_T_mocap, start.candidates[0].noise
+        candidates = robust_start(sights, config.ransac, rng, check=run.check('start')).candidates
+        pose, noise = candidates[0].world_T_mocap, candidates[0].noise
     descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
     calibration = _report(
         sights, descent, loss, threshold_px=threshold_px, centroid=centroid,
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
     )  # fmt: skip
-    refuse(calibration, config.accept, motion_m(sights))
+    refuse_swapped(sights, calibration)
+    try:
+        refuse(calibration, config.accept, motion_m(sights))
+        refuse_ambiguous(candidates)
+    except CalibrationError as refusal:
+        check = run.check('diagnosis')
+        if refusal.reason in MAY_BE_MIRRORED and is_mirrored(sights, config.ransac, check=check):
+            raise CalibrationError(
+                Reason.MIRRORED_AXES, MIRRORED, calibration=calibration
+            ) from refusal
+        raise
     return calibration
 
 
@@ -113,7 +132,7 @@ def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight
         raise InputError(Reason.BAD_INPUT, msg)
     blind = [c.name for c in cameras if c.camera_T_world is None]
     if blind and len(cameras) > 1:
-        msg = f'no extrinsics for {", ".join(blind)}: give camera_T_world for each of several cameras'
+        msg = f'no extrinsics for {", ".join(blind)}: each of several cameras needs camera_T_world'
         raise CalibrationError(Reason.NO_EXTRINSICS, msg)
     pairs = zip(cameras, observations.views, strict=True)
     sights = [Sight(c, v) for c, v in pairs if v.n_frames and v.uv.shape[1]]
@@ -125,7 +144,9 @@ def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight
 
 def _centroid(sights: Sequence[Sight]) -> Array:
     """(3,) centre of the joints of some frames, metres: the pivot of all steps."""
-    x = np.concatenate([s.view.x_mocap[spread(s.view.n_frames, 100)].reshape(-1, 3) for s in sights])
+    x = np.concatenate(
+        [s.view.x_mocap[spread(s.view.n_frames, 100)].reshape(-1, 3) for s in sights]
+    )
     centre: Array = np.median(x[(np.abs(x) < 1e3).all(-1)], axis=0)
     return centre
 
@@ -202,9 +223,16 @@ def _noise_at(sights: Sequence[Sight], pose: RigidTransform) -> NoiseModel:
 
 
 def _report(
-    sights: Sequence[Sight], descent: Descent, loss: Loss, *, threshold_px: float,
-    centroid: Array, joint_names: tuple[str, ...] | None, config: CalibrationConfig, seconds: float,
-) -> Calibration:  # fmt: skip
+    sights: Sequence[Sight],
+    descent: Descent,
+    loss: Loss,
+    *,
+    threshold_px: float,
+    centroid: Array,
+    joint_names: tuple[str, ...] | None,
+    config: CalibrationConfig,
+    seconds: float,
+) -> Calibration:
     """Collect the figures."""
     counts = descent.examination.tally
     n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())

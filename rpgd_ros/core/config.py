@@ -52,7 +52,8 @@ class Setting:
 
 def setting(default: T, help: str, **keywords: Any) -> T:  # noqa: A002
     """Declare a dataclass field with its `Setting`."""
-    return cast('T', field(default=default, metadata={'setting': Setting(help, **keywords)}))
+    described: T = field(default=default, metadata={'setting': Setting(help, **keywords)})
+    return described
 
 
 def settings_of(stage: object) -> Iterator[tuple[Field[Any], Setting]]:
@@ -86,11 +87,15 @@ class RansacConfig(Stage):
         2000, 'Most triplets drawn (K of Algorithm 1)', low=1, high=1_000_000, is_live=True
     )
     frame_stride: int = setting(
-        0, 'Use every n-th frame; 0 = as many as the stage needs', low=0, high=100_000, is_live=True
+        0,
+        'Use every n-th frame; 0 = as many as the stage needs',
+        low=0,
+        high=100_000,
+        is_live=True,
     )
     seed: int = setting(0, 'Seed of the random draws', low=0, high=2**31 - 1)
     sampling: Literal['same_frame', 'any_frame'] = setting(
-        'any_frame', 'Triplets of one camera and frame, as published, or of one camera at any times',
+        'any_frame', 'Triplets of one camera and instant, as published, or from any times',
         choices=('same_frame', 'any_frame'),
     )  # fmt: skip
     score: Literal['inliers', 'likelihood'] = setting(
@@ -116,13 +121,25 @@ class RefineConfig(Stage):
         0.01, 'Learning rate of the angles (adam)', unit='rad', low=1e-8, high=1.0, is_live=True
     )
     lr_translation: float = setting(
-        0.02, 'Learning rate of the translation (adam)', unit='m', low=1e-8, high=10.0, is_live=True
+        0.02,
+        'Learning rate of the translation (adam)',
+        unit='m',
+        low=1e-8,
+        high=10.0,
+        is_live=True,
     )
     frame_stride: int = setting(
-        0, 'Use every n-th frame; 0 = as many as the budget holds', low=0, high=100_000, is_live=True
+        0,
+        'Use every n-th frame; 0 = what the budget holds',
+        low=0,
+        high=100_000,
+        is_live=True,
     )
     max_correspondences: int = setting(
-        4_000_000, 'Budget of the last passes; evenly spread frames beyond it', low=1000, high=10**9
+        4_000_000,
+        'Budget of the last passes; evenly spread frames beyond it',
+        low=1000,
+        high=10**9,
     )
 
 
@@ -135,7 +152,9 @@ class AcceptConfig(Stage):
         low=0.0, high=1.0, is_live=True,
     )  # fmt: skip
     min_pairs: int = setting(60, 'Least number of inliers', low=3, high=10**9, is_live=True)
-    min_frames: int = setting(10, 'Least number of frames with inliers', low=1, high=10**9, is_live=True)
+    min_frames: int = setting(
+        10, 'Least number of frames with inliers', low=1, high=10**9, is_live=True
+    )
     min_motion_m: float = setting(
         0.3, 'Least distance that the body must have covered', unit='m',
         low=0.0, high=100.0, is_live=True,

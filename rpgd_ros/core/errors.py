@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Reason(StrEnum):
-    """Why something was refused. The codes are stable: services, logs and exit paths carry them."""
+    """Why something was refused: stable codes, for services, logs and exit paths."""
 
     # The data do not determine a pose that anybody should use.
     NO_DATA = 'no_data'
@@ -67,7 +67,7 @@ class CalibrationError(RpgdError):
     """The solve ended without a pose that anybody should use.
 
     Attributes:
-        calibration: The refused result where there is one, for a look at its sigma; never publish it.
+        calibration: The refused result where there is one, for a look at its sigma only.
 
     """
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
-from rpgd_ros.core.linearise import Column, Residuals, Sight, linearise, twist_from_delta
+from rpgd_ros.core.geometry import Array, Column, IntArray, RigidTransform
+from rpgd_ros.core.linearise import Residuals, Sight, linearise, twist_from_delta
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,7 +86,8 @@ def examine(
     """
     total = sum(s.view.n_frames * s.view.n_joints for s in sights)
     book = _Book(len(sights), sights[0].view.n_joints, max(1, total // QUANTILE_SAMPLE))
-    by_joint, by_time, cost = np.zeros((sights[0].view.n_joints, 6)), np.zeros((TIME_BLOCKS, 6)), 0.0
+    by_joint, by_time = np.zeros((sights[0].view.n_joints, 6)), np.zeros((TIME_BLOCKS, 6))
+    cost = 0.0
     for v, (sight, block) in enumerate(zip(sights, time_blocks(sights), strict=True)):
         camera_T_mocap = sight.camera_T_world @ pose
         of_joint, of_time = np.zeros_like(by_joint), np.zeros_like(by_time)
@@ -97,8 +98,10 @@ def examine(
             pull = slopes.pull(res.du * weight, res.dv * weight)
             pull = pull.reshape(6, -1, len(by_joint))
             of_joint += np.add.reduce(pull, 1).T
-            for total, row in zip(of_time.T, np.add.reduce(pull, 2), strict=True):
-                total += np.bincount(block[frames], row, TIME_BLOCKS)
+            of_frame = np.add.reduce(pull, 2)
+            of_time += np.stack(
+                [np.bincount(block[frames], row, TIME_BLOCKS) for row in of_frame], 1
+            )
             book.enter(v, res, threshold_px)
         to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
         by_joint += of_joint @ to_twist
@@ -107,7 +110,7 @@ def examine(
 
 
 def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:
-    """Number the stretches of time, the same for all cameras: (F,) of 0 to TIME_BLOCKS - 1 each."""
+    """Number each camera's frames by stretches of time common to all: (F,), 0 to TIME_BLOCKS - 1."""
     times = [
         np.linspace(0.0, 1.0, s.view.n_frames) if s.view.stamp_ns is None else s.view.stamp_ns
         for s in sights
@@ -140,11 +143,13 @@ class _Book:
         self._counts[1, camera] += np.add.reduce(near.reshape(frames), 0, dtype=np.int64)
         self._frames[camera] += int(np.count_nonzero(near.reshape(frames).any(1)))
         columns = (r, r * near, res.du * near, res.dv * near)  # r is zero where not in view
-        for total, column in zip(self._sums[:, camera], columns, strict=True):
-            total += np.add.reduce(column.reshape(frames), 0)
+        for k, column in enumerate(columns):
+            self._sums[k, camera] += np.add.reduce(column.reshape(frames), 0)
 
     def close(self) -> Tally:
         """Return the sums."""
         sample = np.concatenate(self._sample).astype(np.float64)
         bias = np.stack([self._sums[2], self._sums[3]], -1)
-        return Tally(*self._counts, *self._sums[:2], bias, self._frames, sample)
+        n, n_in = self._counts
+        error, error_in = self._sums[:2]
+        return Tally(n, n_in, error, error_in, bias, self._frames, sample)

@@ -8,12 +8,13 @@ frame a: `x_a = a_T_b @ x_b`. The publication's (R_m, t_m) is `world_T_mocap`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Column = NDArray[np.floating[Any]]  # single or double precision
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
@@ -41,7 +42,7 @@ class RigidTransform:
         rotation = np.array(self.rotation, dtype=np.float64)
         translation = np.array(self.translation, dtype=np.float64).reshape(-1)
         if rotation.shape != (3, 3) or translation.shape != (3,):
-            msg = f'need rotation (3, 3) and translation (3,), got {rotation.shape}, {translation.shape}'
+            msg = f'need shapes (3, 3) and (3,), got {rotation.shape} and {translation.shape}'
             raise ValueError(msg)
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             msg = 'rotation and translation must be finite'
@@ -181,15 +182,30 @@ def quat_xyzw_from_rotation(rotation: Array) -> Array:
     # Each row holds 4 q_i q_k for one i; the row with the largest 4 q_i^2 divides safely.
     products = np.array(
         [
-            [1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
-            [r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
-            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2], r[1, 0] - r[0, 1]],
+            [
+                1 + r[0, 0] - r[1, 1] - r[2, 2],
+                r[0, 1] + r[1, 0],
+                r[0, 2] + r[2, 0],
+                r[2, 1] - r[1, 2],
+            ],
+            [
+                r[0, 1] + r[1, 0],
+                1 - r[0, 0] + r[1, 1] - r[2, 2],
+                r[1, 2] + r[2, 1],
+                r[0, 2] - r[2, 0],
+            ],
+            [
+                r[0, 2] + r[2, 0],
+                r[1, 2] + r[2, 1],
+                1 - r[0, 0] - r[1, 1] + r[2, 2],
+                r[1, 0] - r[0, 1],
+            ],
             [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + np.trace(r)],
         ]
     )
     q = products[int(np.argmax(np.diag(products)))]
-    q = q / np.linalg.norm(q)
-    return -q if q[3] < 0.0 else q
+    unit: Array = q / np.linalg.norm(q)
+    return -unit if unit[3] < 0.0 else unit
 
 
 def rotation_from_euler_zyx(angles: ArrayLike) -> Array:
@@ -198,7 +214,7 @@ def rotation_from_euler_zyx(angles: ArrayLike) -> Array:
 
 
 def euler_zyx_with_derivatives(angles: ArrayLike) -> tuple[Array, Array]:
-    """Return `R = Z(gamma) Y(beta) X(alpha)` and its derivatives (3, 3, 3) by alpha, beta, gamma."""
+    """Return `R = Z(gamma) Y(beta) X(alpha)` and its derivatives by the angles, (3, 3, 3)."""
     a, b, g = np.asarray(angles, dtype=np.float64)
     (sa, sb, sg), (ca, cb, cg) = np.sin([a, b, g]), np.cos([a, b, g])
     x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
@@ -211,7 +227,7 @@ def euler_zyx_with_derivatives(angles: ArrayLike) -> tuple[Array, Array]:
 
 
 def euler_zyx_from_rotation(rotation: Array) -> Array:
-    """Return (alpha, beta, gamma) of `Z(gamma) Y(beta) X(alpha)`, radians; gamma = 0 at the gimbal."""
+    """Return (alpha, beta, gamma) of `Z(gamma) Y(beta) X(alpha)`, radians; 0 at the gimbal."""
     r = rotation
     c = float(np.hypot(r[0, 0], r[1, 0]))
     beta = np.arctan2(-r[2, 0], c)

@@ -14,21 +14,22 @@ pivot c, the body's centroid. There, rotation and translation are nearly indepen
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rpgd_ros.core.camera import MIN_DEPTH, Camera, distort, distort_with_derivatives
+from rpgd_ros.core.camera import MIN_DEPTH, Camera
 from rpgd_ros.core.geometry import (
     Array,
     BoolArray,
+    Column,
     IntArray,
     RigidTransform,
     nearest_rotation,
     skew,
     so3_exp,
 )
+from rpgd_ros.core.lens import distort, distort_with_derivatives
 from rpgd_ros.core.observations import LARGEST_COORDINATE, View
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
     from rpgd_ros.core.noise import Loss
 
-Column = NDArray[np.floating[Any]]
 Precision = type[np.float32] | type[np.float64]
 
 CHUNK = 16384  # points: some 30 columns of 64 KiB stay in a 2 MiB cache
@@ -165,7 +165,7 @@ def residuals(
 ) -> Residuals:  # fmt: skip
     """Project and compare (eq. 1, 2): x_mocap (n, 3) metres, uv (n, 2) pixels, NaN = missing."""
     a, b, _, seen, inside = _ideal(camera, camera_T_mocap, x_mocap, uv, dtype)
-    ud, vd = distort(camera, a, b)
+    ud, vd = distort(camera.lens, a, b)
     return _compare(camera, ud, vd, uv, seen, inside)
 
 
@@ -175,12 +175,10 @@ def linearise(
 ) -> tuple[Residuals, Slopes]:  # fmt: skip
     """Residuals, and what their derivatives are made of; arguments as for `residuals`."""
     a, b, iz, seen, inside = _ideal(camera, camera_T_mocap, x_mocap, uv, dtype)
-    lens = distort_with_derivatives(camera, a, b)
+    lens = distort_with_derivatives(camera.lens, a, b)
     res = _compare(camera, lens.x, lens.y, uv, seen, inside)
     fx, fy, _, _ = camera.pinhole
-    slopes = Slopes(
-        a, b, iz, fx * lens.dx_dx, fx * lens.dx_dy, fy * lens.dy_dx, fy * lens.dy_dy
-    )
+    slopes = Slopes(a, b, iz, fx * lens.dx_dx, fx * lens.dx_dy, fy * lens.dy_dx, fy * lens.dy_dy)
     return res, slopes
 
 
@@ -262,8 +260,8 @@ def _ideal(
         iz = 1.0 / z
         a, b = x * iz, y * iz
         inside = seen & (z > MIN_DEPTH)
-        if np.isfinite(camera.max_radius):
-            inside &= a * a + b * b < camera.max_radius**2
+        if np.isfinite(camera.lens.max_radius):
+            inside &= a * a + b * b < camera.lens.max_radius**2
     if not inside.all():
         outside = ~inside
         for column in (a, b, iz):

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array
+from rpgd_ros.core.geometry import Array, Column
 
 if TYPE_CHECKING:
-    from rpgd_ros.core.linearise import Column, Residuals
+    from rpgd_ros.core.linearise import Residuals
 
 TAILS = (3.0, 6.0, 15.0, 1000.0)  # nu: detectors lie between 3 (heavy) and Gaussian
 STARTS = (0.1, 0.3, 0.5)  # quantiles at which sigma is begun: a fit may have several optima
@@ -42,7 +42,7 @@ class Loss(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SquaredLoss:
-    """Half the squared residual, over the correspondences with depth > 0 (eq. 4, not yet divided)."""
+    """Half the squared residual over the correspondences with depth > 0 (eq. 4, undivided)."""
 
     def evaluate(self, res: Residuals) -> tuple[float, Column, Column | None]:
         """See `Loss`."""
@@ -59,6 +59,8 @@ class NoiseModel:
         nu: Its tail (degrees of freedom).
         share: Share of the correspondences that carry only this noise.
         background: Density of gross residuals near zero, 1 / px^2.
+        is_sharp: Whether sigma is far below the largest that is believed. A spread near it
+            explains any data a little: it is no explanation.
 
     """
 
@@ -66,6 +68,7 @@ class NoiseModel:
     nu: float
     share: float
     background: float
+    is_sharp: bool = True
 
     @property
     def peak(self) -> float:
@@ -149,6 +152,7 @@ def fit_noise(residual_px: Array, *, largest_px: float, quick: bool = False) -> 
         nu=float(nu[best, 0]),
         share=float(share[best, 0]),
         background=float((1.0 - share[best, 0]) / (2.0 * np.pi * broad2[best, 0])),
+        is_sharp=bool(sigma2[best, 0] < (0.5 * largest_px) ** 2),
     )
 
 
@@ -174,4 +178,5 @@ def _scale(r2: Array, part: Array, sigma2: Array, nu: Array | float) -> Array:
     """One EM step of the squared scale of a bivariate Student-t."""
     weight = (nu + 2.0) / (nu + r2 / sigma2)
     total = np.maximum(2.0 * part.sum(1, keepdims=True), 1e-12)
-    return np.maximum((part * weight * r2).sum(1, keepdims=True) / total, 1e-12)
+    new: Array = np.maximum((part * weight * r2).sum(1, keepdims=True) / total, 1e-12)
+    return new

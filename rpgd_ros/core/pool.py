@@ -8,6 +8,7 @@ share it equally, however many keypoints each has, so that no minority camera go
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,7 +78,7 @@ class Pool:
         """
         out = np.empty((len(rotation), len(self)))
         bounds = np.searchsorted(self.camera, np.arange(len(self.camera_R_world) + 1))
-        for c, (start, stop) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+        for c, (start, stop) in enumerate(pairwise(bounds)):
             if start == stop:
                 continue
             part = slice(start, stop)
@@ -135,5 +136,6 @@ def _is_seen(sight: Sight, index: IntArray) -> BoolArray:
     """Whether the flat (frame, joint) indices have both sides of a correspondence."""
     frame, joint = np.divmod(index, max(1, sight.view.n_joints))
     x, uv = sight.view.x_mocap[frame, joint], sight.view.uv[frame, joint]
-    seen: BoolArray = (np.abs(x) < LARGEST_COORDINATE).all(-1)
-    return seen & (np.abs(uv) < LARGEST_COORDINATE).all(-1)
+    seen: BoolArray = np.abs(x).max(-1) < LARGEST_COORDINATE
+    seen &= np.abs(uv).max(-1) < LARGEST_COORDINATE
+    return seen

@@ -12,7 +12,7 @@ from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 from rpgd_ros.core.result import Calibration, GroupFit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from rpgd_ros.core.config import AcceptConfig
     from rpgd_ros.core.examine import Tally
@@ -114,7 +114,7 @@ def check_body(sights: Sequence[Sight]) -> None:
     """
     seen = [_sampled_joints(s, len(sights)) for s in sights]
     x = np.concatenate(seen) if seen else np.empty((0, 1, 3))
-    there = np.isfinite(x).all(-1)
+    there = _finite(x)
     if not there.any():
         msg = 'no correspondence: no joint was seen by MoCap and camera at the same time'
         raise CalibrationError(Reason.NO_DATA, msg)
@@ -142,11 +142,19 @@ def _sampled_joints(sight: Sight, n_cameras: int) -> Array:
 
 def spread(n_frames: int, wanted: int) -> IntArray:
     """Return up to `wanted` frame numbers, evenly spread from first to last."""
-    return np.unique(np.linspace(0, max(n_frames - 1, 0), min(n_frames, wanted)).round().astype(int))
+    return np.unique(
+        np.linspace(0, max(n_frames - 1, 0), min(n_frames, wanted)).round().astype(int)
+    )
+
+
+def _finite(x: Array) -> BoolArray:
+    """Whether points (..., 3) are there."""
+    there: BoolArray = np.isfinite(x.sum(-1))
+    return there
 
 
 def _check_size(x: Array) -> None:
-    there = np.isfinite(x).all(-1)
+    there = _finite(x)
     whole = there.sum(1) >= 0.5 * there.sum(1).max()
     low = np.where(there[..., None], x, np.inf)[whole].min(1)
     high = np.where(there[..., None], x, -np.inf)[whole].max(1)
@@ -154,7 +162,9 @@ def _check_size(x: Array) -> None:
     if SMALLEST_BODY_M <= size <= LARGEST_BODY_M or x.shape[1] < 3 or size == 0.0:
         return
     unit = min(UNITS_PER_M, key=lambda u: abs(np.log(size / (TYPICAL_BODY_M * UNITS_PER_M[u]))))
-    guess = f'looks like {unit}: set `mocap.units`' if size > LARGEST_BODY_M else 'check `mocap.units`'
+    guess = (
+        f'looks like {unit}: set `mocap.units`' if size > LARGEST_BODY_M else 'check `mocap.units`'
+    )
     msg = f'the skeleton spans {size:.4g} m, a person 0.5 to 2.5 m; {guess}'
     raise CalibrationError(Reason.WRONG_UNIT, msg)
 
@@ -164,7 +174,7 @@ def motion_m(sights: Sequence[Sight]) -> float:
     centres = []
     for sight in sights:
         x = _sampled_joints(sight, len(sights))
-        there: BoolArray = np.isfinite(x).all(-1)
+        there = _finite(x)
         rows = there.sum(1) >= max(1, 0.5 * there.sum(1).max(initial=0))
         if rows.any():
             centres.append(np.nanmean(np.where(there[..., None], x, np.nan)[rows], 1))
@@ -178,34 +188,65 @@ def refuse(calibration: Calibration, gates: AcceptConfig, moved_m: float) -> Non
     """Raise when nobody should use the calibration; it travels inside the error.
 
     Raises:
-        CalibrationError: TOO_FEW_INLIERS, TOO_FEW_FRAMES, DEGENERATE_MOTION, UNCERTAIN.
+        CalibrationError: DEGENERATE_MOTION, TOO_FEW_INLIERS, TOO_FEW_FRAMES, UNCERTAIN.
 
     """
-    c = calibration
+    for is_bad, reason, message in _complaints(calibration, gates, moved_m):
+        if is_bad:
+            raise CalibrationError(reason, message, calibration=calibration)
+
+
+def _complaints(
+    c: Calibration, gates: AcceptConfig, moved_m: float
+) -> Iterator[tuple[bool, Reason, str]]:
+    """Yield for each gate whether it is closed, the reason, and what to tell the person."""
+    yield (
+        moved_m < gates.min_motion_m,
+        Reason.DEGENERATE_MOTION,
+        (
+            f'the person moved {moved_m:.2f} m, need {gates.min_motion_m:.2f} m. '
+            'Walk through the room'
+        ),
+    )
     worst = min(c.per_camera.values(), key=lambda fit: fit.inlier_ratio)
-    share = (
+    found = (
         f'{c.inliers} of {c.correspondences} keypoints ({100 * c.inlier_ratio:.1f} %) agree with '
         f'the best pose within {c.threshold_px:.1f} px (least in camera {worst.name}: '
         f'{100 * worst.inlier_ratio:.1f} %)'
     )
+    yield (
+        c.inlier_ratio < gates.min_inlier_ratio,
+        Reason.TOO_FEW_INLIERS,
+        (
+            f'{found}, need {100 * gates.min_inlier_ratio:.0f} %. '
+            'Check that cameras and MoCap see the same person and share a clock'
+        ),
+    )
+    yield (
+        c.inliers < gates.min_pairs,
+        Reason.TOO_FEW_INLIERS,
+        f'{found}, need {gates.min_pairs} keypoints. Record for longer',
+    )
+    yield (
+        c.frames < gates.min_frames,
+        Reason.TOO_FEW_FRAMES,
+        f'{c.frames} frames with an agreeing keypoint, need {gates.min_frames}. Record for longer',
+    )
     sigma_deg, sigma_m = c.worst_sigma
-    advice = 'Check that cameras and MoCap see the same person and share a clock'
-    complaints = (
-        (c.inlier_ratio < gates.min_inlier_ratio, Reason.TOO_FEW_INLIERS,
-         f'{share}, need {100 * gates.min_inlier_ratio:.0f} %. {advice}'),
-        (c.inliers < gates.min_pairs, Reason.TOO_FEW_INLIERS,
-         f'{share}, need {gates.min_pairs} keypoints. Record for longer'),
-        (c.frames < gates.min_frames, Reason.TOO_FEW_FRAMES,
-         f'{c.frames} frames with an agreeing keypoint, need {gates.min_frames}. Record for longer'),
-        (moved_m < gates.min_motion_m, Reason.DEGENERATE_MOTION,
-         f'the person moved {moved_m:.2f} m, need {gates.min_motion_m:.2f} m. Walk through the room'),
-        (sigma_deg > gates.max_sigma_deg, Reason.UNCERTAIN,
-         f'the rotation is known to {sigma_deg:.2f} deg only, need '
-         f'{gates.max_sigma_deg:.2f} deg. Walk further, and nearer to the cameras'),
-        (sigma_m > gates.max_sigma_m, Reason.UNCERTAIN,
-         f'the position is known to {1000 * sigma_m:.0f} mm only, need '
-         f'{1000 * gates.max_sigma_m:.0f} mm. Walk further, and nearer to the cameras'),
-    )  # fmt: skip
-    for is_bad, reason, message in complaints:
-        if is_bad:
-            raise CalibrationError(reason, message, calibration=calibration)
+    advice = 'Walk further, and nearer to the cameras'
+    yield (
+        sigma_deg > gates.max_sigma_deg,
+        Reason.UNCERTAIN,
+        (
+            f'the rotation is known to {sigma_deg:.2f} deg only, need '
+            f'{gates.max_sigma_deg:.2f} deg. {advice}'
+        ),
+    )
+    yield (
+        sigma_m > gates.max_sigma_m,
+        Reason.UNCERTAIN,
+        (
+            f'the position is known to {1000 * sigma_m:.0f} mm only, need '
+            f'{1000 * gates.max_sigma_m:.0f} mm. {advice}'
+        ),
+    )

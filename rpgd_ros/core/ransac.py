@@ -10,15 +10,15 @@ a small pool, the best of them polished there, until enough clean triplets must 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array, IntArray, RigidTransform, rotation_angle, so3_exp
-from rpgd_ros.core.linearise import apply_delta, residuals
-from rpgd_ros.core.noise import LARGEST_NOISE, NoiseModel, fit_noise
+from rpgd_ros.core.linearise import residuals
+from rpgd_ros.core.polish import Candidate, polish
 from rpgd_ros.core.pool import Pool, make_pool
 
 if TYPE_CHECKING:
@@ -38,26 +38,8 @@ CLEAN_TRIPLETS = 10.0  # expected number of all-inlier triplets at the end: exp(
 UNEXPLAINED_SHARE = 0.2  # the least share of inliers that is accepted by default
 SOFT_PX = 2.0  # residuals below it rank alike: a pose of three noisy points is no better than that
 CAP_PX = 100.0  # residuals beyond it rank alike
-POLISH_QUANTILE = 0.2  # of the residuals: their scale while the share of inliers is unknown
-POLISH_STEPS = 10
-POLISH_DONE = 1e-5  # rad and m: far below what the pool can tell
 SAME_ANGLE = np.radians(2.0)  # two poses nearer than this, and SAME_DISTANCE, are one minimum
 SAME_DISTANCE = 0.15  # metres, at the body's centroid
-
-
-class Candidate(NamedTuple):
-    """A pose polished on the pool, and how well it explains it.
-
-    Attributes:
-        world_T_mocap: The pose.
-        noise: Fitted spread of its residuals.
-        cost: Negative log likelihood per point of the pool.
-
-    """
-
-    world_T_mocap: RigidTransform
-    noise: NoiseModel
-    cost: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,8 +85,11 @@ def robust_start(
             check(drawn / config.iterations)
             found.append(polish(pool, RigidTransform(rotation[index], translation[index])))
         found = _distinct(found, pool.centroid_mocap)
-        if found and drawn * _believed_share(found[0].noise, pool) ** 3 >= CLEAN_TRIPLETS:
-            break
+        if found:
+            noise = found[0].noise
+            share = noise.share if noise.is_sharp else min(noise.share, UNEXPLAINED_SHARE)
+            if drawn * share**3 >= CLEAN_TRIPLETS:
+                break
     if not found:
         msg = f'none of {drawn} triplets gave a pose: are all points on one line, or one point?'
         raise CalibrationError(Reason.DEGENERATE_GEOMETRY, msg)
@@ -207,8 +192,8 @@ def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
         _, rvecs, tvecs = cv2.solveP3P(
             x[:, None], ideal[:, None], identity, None, flags=cv2.SOLVEPNP_AP3P
         )
-        rotvecs += [r.ravel() for r in rvecs]
-        shifts += [t.ravel() for t in tvecs]
+        rotvecs += [np.asarray(r, np.float64).ravel() for r in rvecs]
+        shifts += [np.asarray(t, np.float64).ravel() for t in tvecs]
         camera += [int(pool.camera[triplet[0]])] * len(rvecs)
     if not camera:
         return np.empty((0, 3, 3)), np.empty((0, 3))
@@ -220,58 +205,6 @@ def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
     return world_R_camera @ r, (world_R_camera @ shifted[:, :, None])[:, :, 0]
 
 
-def polish(pool: Pool, pose: RigidTransform) -> Candidate:
-    """Descend on the pool with a loss whose scale follows the residuals, and fit their spread."""
-    rotations = np.ascontiguousarray(pool.camera_R_world[pool.camera].transpose(1, 2, 0))
-    translations = np.ascontiguousarray(pool.camera_t_world[pool.camera].T)
-    for _ in range(POLISH_STEPS):
-        delta, pivot = _polish_step(pool, pose, rotations, translations)
-        pose = apply_delta(pose, delta, pivot)
-        if np.abs(delta).max() < POLISH_DONE:
-            break
-    squared = pool.squared_residuals(pose.rotation[None], pose.translation[None])[0]
-    residual_px = np.sqrt(np.minimum(squared, 1e8))
-    largest_px = LARGEST_NOISE * float(np.median(pool.focal_px))
-    noise = fit_noise(residual_px, largest_px=largest_px, quick=True)
-    return Candidate(pose, noise, noise.cost_per_point(residual_px))
-
-
-def _polish_step(
-    pool: Pool, pose: RigidTransform, rotations: Array, translations: Array
-) -> tuple[Array, Array]:
-    """One Gauss-Newton step (w, d) about the centroid, Cauchy weights.
-
-    Args:
-        pool: The points.
-        pose: Where to linearise.
-        rotations: (3, 3, n) camera_R_world of each point.
-        translations: (3, n) camera_t_world of each point.
-
-    """
-    world = (pool.x_mocap @ pose.rotation.T + pose.translation).T
-    pivot = world.mean(1)
-    x, y, z = (rotations * world).sum(1) + translations
-    inside = z > 1e-3
-    iz = 1.0 / np.where(inside, z, 1.0)
-    a, b = x * iz, y * iz
-    f = pool.focal_px * inside
-    du, dv = f * (a - pool.ideal[:, 0]), f * (b - pool.ideal[:, 1])
-    squared = np.where(inside, du * du + dv * dv, np.inf)
-    rank = int(POLISH_QUANTILE * len(squared))
-    weight = 1.0 / (max(float(np.partition(squared, rank)[rank]), 1e-6) + squared)
-    f *= iz
-    lx, ly, lz = world - pivot[:, None]
-    rows = np.empty((2, 6, len(z)))
-    for row, slope, axis in ((rows[0], a, 0), (rows[1], b, 1)):
-        gx, gy, gz = row[3:] = f * (rotations[axis] - slope * rotations[2])
-        row[0], row[1], row[2] = ly * gz - lz * gy, lz * gx - lx * gz, lx * gy - ly * gx
-    weighted = rows * weight
-    hessian = weighted[0] @ rows[0].T + weighted[1] @ rows[1].T
-    # Where no point is before a camera nothing pulls, and the floor makes the step zero.
-    damping = max(1e-9 * float(np.trace(hessian)), 1e-12) * np.eye(6)
-    return -np.linalg.solve(hessian + damping, weighted[0] @ du + weighted[1] @ dv), pivot
-
-
 def _is_degenerate(x: Array) -> bool:
     """Whether three points nearly lie on one line: their P3P has a family of solutions."""
     u, v = x[1] - x[0], x[2] - x[0]
@@ -280,15 +213,6 @@ def _is_degenerate(x: Array) -> bool:
     area2 = (uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2
     longest2 = max(u @ u, v @ v, (v - u) @ (v - u))
     return bool(area2 < 1e-4 * longest2**2)
-
-
-def _believed_share(noise: NoiseModel, pool: Pool) -> float:
-    """Share of inliers to plan the draws with.
-
-    A spread near the largest that is believed explains any data a little: it is no reason to stop.
-    """
-    is_wide = noise.sigma_px > 0.5 * LARGEST_NOISE * float(np.median(pool.focal_px))
-    return min(noise.share, UNEXPLAINED_SHARE) if is_wide else noise.share
 
 
 def _best_distinct(pool: Pool, coarse: Pool, rotation: Array, translation: Array) -> list[int]:

@@ -107,7 +107,7 @@ class Calibration:
 
     @property
     def worst_sigma(self) -> tuple[float, float]:
-        """The larger standard deviations of both covariances: rotation in degrees, centroid in m."""
+        """The larger sigma of both covariances: rotation in degrees, centroid in metres."""
         over_time = np.sqrt(np.trace(self._at_centroid(self.covariance_over_time)))
         return (
             max(self.sigma_rotation_deg, _rotation_deg(self.covariance_over_time)),

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why a pose explains the data badly: swapped labels, mirrored axes, a second minimum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rpgd_ros.core.errors import CalibrationError, Reason
+from rpgd_ros.core.linearise import Sight
+from rpgd_ros.core.polish import Candidate
+from rpgd_ros.core.quality import spread
+from rpgd_ros.core.ransac import robust_start
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rpgd_ros.core.config import RansacConfig
+    from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
+    from rpgd_ros.core.result import Calibration
+
+GOOD_RATIO = 0.6  # share of inliers above which nothing needs explaining
+MIN_COST_RATIO = 1.25  # squared error of the second minimum over the first, to tell them apart
+SWAP_FRAMES = 40  # per camera
+LOST, FOUND = 0.15, 0.5  # a swapped joint agrees with itself less often, with its twin more often
+MIN_SWAPPED_PAIRS = 2  # one pair alone may be a mistake in the joint map
+MIRROR_GAIN = 4.0  # in squared error, of the mirrored skeleton over the given one
+MAY_BE_MIRRORED = (
+    Reason.TOO_FEW_INLIERS,
+    Reason.TOO_FEW_FRAMES,
+    Reason.UNCERTAIN,
+    Reason.AMBIGUOUS,
+)
+MIRRORED = (
+    'the skeleton fits when one of its axes is mirrored: the MoCap frame is left-handed. '
+    'Negate one axis, or swap two, in the MoCap software'
+)
+
+
+def refuse_ambiguous(candidates: Sequence[Candidate]) -> None:
+    """Raise AMBIGUOUS where a second, different pose explains the data nearly as well.
+
+    A flat body far away looks the same from two sides (the two solutions of a planar target).
+    """
+    if len(candidates) < 2:
+        return
+    ratio = float(np.exp(candidates[1].cost - candidates[0].cost))
+    if ratio < MIN_COST_RATIO:
+        msg = (
+            f'two different poses explain the data: the second has {ratio:.2f} times the squared '
+            f'error of the best, need {MIN_COST_RATIO}. Walk further, turn, and come nearer'
+        )
+        raise CalibrationError(Reason.AMBIGUOUS, msg)
+
+
+def refuse_swapped(sights: Sequence[Sight], calibration: Calibration) -> None:
+    """Raise SWAPPED_LABELS where joints lie on each other's projection in nearly every frame."""
+    if calibration.inlier_ratio > GOOD_RATIO:
+        return
+    names = list(calibration.per_joint)
+    pairs = swapped_joints(sights, calibration.world_T_mocap, calibration.threshold_px)
+    if len(pairs) >= MIN_SWAPPED_PAIRS:
+        listed = ', '.join(f'{names[a]} and {names[b]}' for a, b in pairs[:3])
+        msg = (
+            f'{len(pairs)} pairs of joints are labelled the other way round in nearly every frame '
+            f'({listed}): left and right are swapped. Check the joint map and the joint order'
+        )
+        raise CalibrationError(Reason.SWAPPED_LABELS, msg, calibration=calibration)
+
+
+def swapped_joints(
+    sights: Sequence[Sight], pose: RigidTransform, threshold_px: float
+) -> list[tuple[int, int]]:
+    """Find pairs of joints whose keypoints lie on each other's projection instead of their own."""
+    hits, counts = 0.0, 0.0
+    for sight in sights:
+        part = sight.at_frames(spread(sight.view.n_frames, SWAP_FRAMES))
+        projected = part.camera.project_camera((part.camera_T_world @ pose) @ part.view.x_mocap)
+        # (F, keypoint, projection): who lies on whom.
+        apart = part.view.uv[:, :, None] - projected[:, None]
+        distance = np.hypot(apart[..., 0], apart[..., 1])
+        hits = hits + (distance < threshold_px).sum(0)
+        counts = counts + np.isfinite(distance).sum(0)
+    ratio: Array = hits / np.maximum(counts, 1.0)
+    own = np.diag(ratio)
+    lost: IntArray = np.flatnonzero((own < LOST) & (np.diag(counts) > 0))
+    pairs = []
+    for a in lost:
+        b = int(np.argmax(ratio[a]))
+        is_mutual = b in lost and int(np.argmax(ratio[b])) == a
+        if a < b and is_mutual and min(ratio[a, b], ratio[b, a]) > FOUND:
+            pairs.append((int(a), b))
+    return pairs
+
+
+def is_mirrored(
+    sights: Sequence[Sight], config: RansacConfig, *, check: Callable[[float], None]
+) -> bool:
+    """Whether a mirrored skeleton explains data far better that the given one explains badly."""
+    mirrored = [
+        Sight(s.camera, replace(s.view, x_mocap=s.view.x_mocap * [-1.0, 1.0, 1.0])) for s in sights
+    ]
+    given, other = (
+        robust_start(side, config, np.random.default_rng(config.seed), check=check).candidates[0]
+        for side in (sights, mirrored)
+    )
+    return other.noise.is_sharp and given.cost - other.cost > np.log(MIRROR_GAIN)
