@@ -20,6 +20,7 @@ from rpgd_ros.messages import CAMERA_INFO, decode_camera_info, encode_camera_inf
 K = np.array([[1100.0, 0.0, 960.0], [0.0, 1090.0, 540.0], [0.0, 0.0, 1.0]])
 PLUMB_BOB = [-0.2, 0.1, 0.001, -0.002, 0.01]
 R = so3_exp([0.01, -0.02, 0.03])
+P = np.column_stack([np.diag([0.9, 0.9, 1.0]) @ K, np.zeros(3)])
 
 
 def camera_info(**changes: Any) -> Any:
@@ -27,7 +28,7 @@ def camera_info(**changes: Any) -> Any:
     fields = {
         'header': peers.header(5, 'cam0_optical_frame'), 'height': 1080, 'width': 1920,
         'distortion_model': 'plumb_bob', 'd': PLUMB_BOB, 'k': K, 'r': np.eye(3),
-        'p': np.column_stack([0.9 * K, np.zeros(3)]), 'binning_x': 0, 'binning_y': 0,
+        'p': P, 'binning_x': 0, 'binning_y': 0,
         'roi': (0, 0, 0, 0), 'do_rectify': False,
     } | changes  # fmt: skip
     for name in 'dkrp':
@@ -96,8 +97,7 @@ def test_rectified_keypoints_take_p_without_distortion_and_axes_turned_by_r() ->
     info = decode_camera_info(payload(r=R))
     x_world = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 3))
     raw = info.camera('cam0', pose).project(x_world)
-    p = np.column_stack([0.9 * K, np.zeros(3)])
-    expected = cv2.undistortPoints(raw[:, None], K, np.array(PLUMB_BOB), None, R, p)
+    expected = cv2.undistortPoints(raw[:, None], K, np.array(PLUMB_BOB), None, R, P)
     rectified = info.camera('cam0', pose, is_rectified=True)
     assert not rectified.is_distorted
     np.testing.assert_allclose(rectified.project(x_world), expected[:, 0], atol=0.01)
