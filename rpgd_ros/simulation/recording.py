@@ -10,6 +10,7 @@ import numpy as np
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray, RigidTransform
 from rpgd_ros.core.observations import MocapTrack, Observations, View
+from rpgd_ros.simulation.faults import Faults
 from rpgd_ros.simulation.presets import Preset
 from rpgd_ros.skeletons import joint_names, match_joints
 
@@ -65,6 +66,7 @@ class Truth:
         student_nu: Degrees of freedom of that noise; 0 = Gaussian.
         sigma_m: Noise of the skeleton per axis, metres.
         lags_s: Per camera, how late the video is stamped, seconds.
+        faults: What went wrong on purpose.
         control_world: (N, 3) places of some joints, metres, world frame, straight from the body.
         control_mocap: (N, 3) the same places, metres, MoCap frame.
 
@@ -76,6 +78,7 @@ class Truth:
     student_nu: float
     sigma_m: float
     lags_s: tuple[float, ...]
+    faults: Faults
     control_world: Array
     control_mocap: Array
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rpgd_ros.core.camera import Camera, Model
+from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import RigidTransform
+from rpgd_ros.core.lens import Model
 
 Position = tuple[float, float, float]
 

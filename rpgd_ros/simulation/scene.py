@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +14,8 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, IntArray, RigidTransform, rotation_from_quat_xyzw
 from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.simulation.body import Body, Pose
-from rpgd_ros.simulation.detector import Corruption, Shot, detect
+from rpgd_ros.simulation.detector import Shot, detect
+from rpgd_ros.simulation.faults import BiasFrame, Faults
 from rpgd_ros.simulation.gait import rot_z
 from rpgd_ros.simulation.joints import landmarks_of
 from rpgd_ros.simulation.motion import MARGIN_S, MotionName
@@ -24,32 +24,10 @@ from rpgd_ros.simulation.recording import CameraStream, MocapStream, SimulatedRe
 from rpgd_ros.simulation.rigs import build_rig
 from rpgd_ros.skeletons import joint_names, mirror
 
-BiasFrame = Literal['heading', 'bone']
-
 EPOCH_NS = 1_735_689_600_000_000_000  # 2025-01-01: stamps of a recording look like real ones
 MOCAP_ORIGIN_M = 2.0  # the MoCap origin lies anywhere within this of the world's, per axis
 MAX_LAG_S = 0.75 * MARGIN_S  # the body's course reaches only so far beyond the recording
 N_CONTROL = 8  # points of the body whose place in both frames the truth file tells
-
-
-@dataclass(frozen=True, slots=True)
-class Faults:
-    """What goes wrong in a recording beyond the preset.
-
-    Attributes:
-        corruption: Of the detections.
-        bias_m: Standard deviation per axis of the offset between what the MoCap system and the
-            detector call a joint, metres; each joint keeps its offset.
-        bias_frame: In which frame it keeps it: the body's heading, or the bone.
-        lag_s: How late the video is stamped, seconds; one for all cameras, or one each. MoCap
-            time = video stamp - lag.
-
-    """
-
-    corruption: Corruption = field(default_factory=Corruption)
-    bias_m: float = 0.0
-    bias_frame: BiasFrame = 'heading'
-    lag_s: float | tuple[float, ...] = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,6 +149,7 @@ def simulate(
             student_nu=scene.preset.detector.student_nu,
             sigma_m=scene.preset.joint_noise_m,
             lags_s=scene.lags_s,
+            faults=scene.faults,
             control_world=control_world,
             control_mocap=control_mocap,
         ),

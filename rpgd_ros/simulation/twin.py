@@ -9,10 +9,11 @@ from typing import NamedTuple
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.observations import Observations
 from rpgd_ros.simulation.detector import Corruption
+from rpgd_ros.simulation.faults import BiasFrame, Faults
 from rpgd_ros.simulation.motion import MotionName
 from rpgd_ros.simulation.presets import OutlierKind, preset
 from rpgd_ros.simulation.recording import Truth
-from rpgd_ros.simulation.scene import BiasFrame, Faults, build_scene, simulate
+from rpgd_ros.simulation.scene import build_scene, simulate
 
 
 class Twin(NamedTuple):

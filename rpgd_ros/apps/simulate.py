@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes a simulated recording with known truth: for demos, tests, and planning a rig."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import get_args
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.simulation import PRESETS, Corruption, Faults, build_scene, preset, simulate
+from rpgd_ros.simulation.detector import OUTLIER_KINDS
+from rpgd_ros.simulation.export import BAG, RIG, TRUTH, MocapType, Storage, write_recording
+from rpgd_ros.simulation.motion import MOTIONS
+
+EXIT_DONE, EXIT_BAD_INPUT, EXIT_STOPPED = 0, 2, 130
+STAGES = ('filming', 'writing')
+
+DESCRIPTION = """\
+Simulate a person who walks through a room before calibrated cameras, seen by a MoCap system and by
+a keypoint detector per camera, and write what both send:
+
+  DIR/bag         rosbag2 with mocap/skeleton, <camera>/keypoints, <camera>/camera_info
+  DIR/rig.yaml    the rig file for the calibrator and for calibrate_bag
+  DIR/truth.yaml  the transform that a calibration has to find
+"""
+EPILOG = """\
+examples:
+  simulate --preset studio --output demo
+  simulate --preset kinect --output far --seconds 20 --motion sway   # should be refused
+  simulate --preset studio --output bad --outliers 0.4 --kind person --lag 0.02
+then:
+  calibrate_bag demo/bag --rig demo/rig.yaml
+exit codes: 0 written, 2 bad input, 130 stopped (nothing is left behind)
+"""
+
+
+class _Stopped(BaseException):
+    """A signal: ends the run through every clean-up.
+
+    KeyboardInterrupt is not that: raised inside exec, which the bag's type store uses, it makes
+    Python end by the signal even when caught, with an exit code that is not ours.
+    """
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit code."""
+    arguments = _parser().parse_args(argv)
+    console = Console(stderr=True)
+    try:
+        with _stop_on_signals():
+            _run(arguments, console)
+    except InputError as error:
+        print(f'simulate: {error.message}', file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except _Stopped:
+        print('simulate: stopped, nothing was written', file=sys.stderr)
+        return EXIT_STOPPED
+    output = arguments.output
+    print(f'{output / BAG}\n{output / RIG}\n{output / TRUTH}')
+    print(f'next: calibrate_bag {output / BAG} --rig {output / RIG}')
+    return EXIT_DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='simulate',
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add('--preset', required=True, choices=list(PRESETS), help='rig, rates, joints and noise')
+    add('--output', required=True, type=Path, metavar='DIR', help='folder to write')
+    add('--seconds', type=float, default=60.0, help='length (default 60)')
+    add('--seed', type=int, default=0, help='the same seed gives the same bits (default 0)')
+    add('--motion', choices=MOTIONS, default='walk', help='what the person does (default walk)')
+    add('--storage', choices=get_args(Storage), default='mcap', help='bag format (default mcap)')
+    text = 'share of keypoints that are wholly wrong, 0 to 1 (default 0)'
+    add('--outliers', type=float, default=0.0, metavar='SHARE', help=text)
+    text = 'how: anywhere; left and right swapped; somebody else for a second; a blob; a mixture'
+    add('--kind', choices=OUTLIER_KINDS, default='uniform', help=text)
+    text = 'how far the joints of MoCap and detector differ, per axis (in reality 0.02 to 0.04)'
+    add('--bias', type=float, default=0.0, metavar='METRES', help=text)
+    text = 'how late the video is stamped (default 0)'
+    add('--lag', type=float, default=0.0, metavar='SECONDS', help=text)
+    text = 'message type of the skeletons (default PointCloud2)'
+    add('--mocap-type', choices=get_args(MocapType), default='PointCloud2', help=text)
+    add('--force', action='store_true', help='replace DIR if it is an older recording')
+    return parser
+
+
+def _run(arguments: argparse.Namespace, console: Console) -> None:
+    output: Path = arguments.output
+    _check_output(output, is_forced=arguments.force)
+    if arguments.seed < 0:
+        msg = f'--seed must be 0 or more, got {arguments.seed}'
+        raise InputError(Reason.BAD_INPUT, msg)
+    scene = build_scene(
+        preset(arguments.preset),
+        arguments.seed,
+        seconds=arguments.seconds,
+        motion=arguments.motion,
+        faults=Faults(
+            Corruption(arguments.outliers, arguments.kind),
+            bias_m=arguments.bias,
+            lag_s=arguments.lag,
+        ),
+    )
+    with _scratch_folder(output) as scratch, _bars(console) as progress:
+        recording = simulate(scene, progress=progress)
+        write_recording(
+            recording,
+            scratch,
+            storage=arguments.storage,
+            mocap_type=arguments.mocap_type,
+            progress=progress,
+        )
+        _put_in_place(scratch, output)
+
+
+def _check_output(output: Path, *, is_forced: bool) -> None:
+    """Refuse to write over anything but, when told so, an older recording."""
+    if not output.parent.is_dir():
+        msg = f'{output.parent} is no folder: create it first'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+    if not (output.exists() or output.is_symlink()):
+        return
+    if not is_forced:
+        msg = f'{output} exists: choose another name, or --force to replace an older recording'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+    if output.is_symlink() or not output.is_dir():
+        msg = f'{output} is no folder: --force replaces older recordings only'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+    foreign = sorted(p.name for p in output.iterdir() if p.name not in {BAG, RIG, TRUTH})
+    if foreign:
+        msg = f'{output} holds {foreign[0][:80]!r}: --force replaces older recordings only'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+
+
+@contextmanager
+def _scratch_folder(output: Path) -> Iterator[Path]:
+    """Give a folder beside the output, and take away whatever is left of it."""
+    try:
+        folder = tempfile.mkdtemp(prefix=f'.{output.name}.', suffix='.tmp', dir=output.parent)
+    except OSError as error:
+        msg = f'{output.parent} cannot be written: {error.strerror or error}'
+        raise InputError(Reason.NOT_WRITABLE, msg) from error
+    try:
+        yield Path(folder)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _put_in_place(scratch: Path, output: Path) -> None:
+    """Rename the finished folder; an older recording goes out with the scratch folder."""
+    finished = scratch / 'finished'
+    finished.mkdir(mode=0o755)
+    for name in (BAG, RIG, TRUTH):
+        (scratch / name).rename(finished / name)
+    replaced = scratch / 'replaced'
+    try:
+        if output.exists():
+            output.rename(replaced)
+        finished.rename(output)
+    except BaseException:
+        if replaced.exists() and not output.exists():
+            replaced.rename(output)  # stopped between the two: the older one stays
+        raise
+
+
+@contextmanager
+def _bars(console: Console) -> Iterator[Callable[[str, float], None]]:
+    """Show one bar per stage."""
+    columns = (TextColumn('{task.description:>8}'), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        tasks: dict[str, TaskID] = {s: progress.add_task(s, total=1.0) for s in STAGES}
+        yield lambda stage, fraction: progress.update(tasks[stage], completed=fraction)
+
+
+@contextmanager
+def _stop_on_signals() -> Iterator[None]:
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        for number in before:  # one is enough: a second must not cut the clean-up
+            signal.signal(number, signal.SIG_IGN)
+        raise _Stopped
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
