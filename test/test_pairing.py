@@ -168,6 +168,7 @@ class StreamMachine(RuleBasedStateMachine):
         self.stream, self.plain = make_stream(30, 4.0), Reference(30, 4 * S)
         self.now = START
         self.sent: list[Message] = [Message(START)]
+        self.lent: list[tuple[Samples, bytes]] = []
 
     def _send(self, messages: list[Message]) -> None:
         for m in messages:
@@ -202,6 +203,18 @@ class StreamMachine(RuleBasedStateMachine):
     def jump(self, by: int) -> None:
         """The clock is set."""
         self.now += by
+
+    @rule()
+    def lend(self) -> None:
+        """Somebody keeps what is there now."""
+        samples = self.stream.lend()
+        self.lent.append((samples, samples.stamp_ns.tobytes() + samples.values.tobytes()))
+
+    @invariant()
+    def leaves_alone_what_was_lent(self) -> None:
+        """Whatever came after."""
+        for samples, before in self.lent:
+            assert samples.stamp_ns.tobytes() + samples.values.tobytes() == before
 
     @invariant()
     def holds_what_the_plain_rules_say(self) -> None:

@@ -102,12 +102,13 @@ def pair(
 
     """
     found = match(mocap.stamp_ns, camera.stamp_ns, settings=settings, time_offset_s=time_offset_s)
-    x_mocap = mocap.values[found.before]
-    between = found.weight > 0.0
-    if between.any():
-        x_before, x_after = x_mocap[between], mocap.values[found.after[between]]
+    x_mocap = mocap.values.take(found.before, axis=0)
+    if found.weight.any():
+        step = mocap.values.take(found.after, axis=0)
         with np.errstate(invalid='ignore', over='ignore'):  # infinite and huge numbers end here
-            x_mocap[between] = x_before + found.weight[between, None, None] * (x_after - x_before)
-    scores = None if camera.confidence is None else camera.confidence[found.row]
-    view = View(found.stamp_ns, x_mocap, camera.values[found.row], scores)
+            step -= x_mocap
+            step *= found.weight[:, None, None]
+            x_mocap += step
+    scores = None if camera.confidence is None else camera.confidence.take(found.row, axis=0)
+    view = View(found.stamp_ns, x_mocap, camera.values.take(found.row, axis=0), scores)
     return view, PairCounts(len(found.row), len(camera.stamp_ns) - len(found.row))

@@ -53,6 +53,7 @@ class SampleStore:
         self.n_expired = 0
         self._start = self._sorted = self._end = 0
         self._has_confidence = False
+        self._is_lent = False
         self._stamp = np.empty(FIRST_ROWS, np.int64)
         self._values = np.empty((FIRST_ROWS, n_joints, n_values))
         self._confidence = np.empty((FIRST_ROWS, n_joints))
@@ -77,6 +78,8 @@ class SampleStore:
         n = len(self)
         self._start = self._sorted = self._end = 0
         self._has_confidence = False
+        if self._is_lent:
+            self._move_to(FIRST_ROWS)
         return n
 
     def __len__(self) -> int:
@@ -88,6 +91,12 @@ class SampleStore:
         """Return the (F,) stamps, valid until the next sample is added."""
         self._consolidate()
         return self._stamp[self._start : self._end]
+
+    def lend(self) -> Samples:
+        """Return the samples for good: without a copy, unless the store has to change them."""
+        samples = self.samples()
+        self._is_lent = True
+        return samples
 
     def samples(self) -> Samples:
         """Return the samples, valid until the next one is added."""
@@ -119,6 +128,11 @@ class SampleStore:
         order = order[self._one_per_stamp(order)]
         self.n_duplicate += self._end - first - len(order)
         rows = slice(first, first + len(order))
+        if self._is_lent:
+            # What was lent must not change under its reader's eyes.
+            shift = self._start
+            self._move_to(len(self._stamp))
+            order, rows = order - shift, slice(rows.start - shift, rows.stop - shift)
         for array in (self._stamp, self._values, self._confidence):
             array[rows] = array[order]
         self._end = rows.stop
@@ -159,10 +173,17 @@ class SampleStore:
         rows = max(len(self._stamp), FIRST_ROWS)
         while rows < needed:
             rows *= 2
-        rows = max(min(rows, self.max_frames + self.max_frames // 4 + 1), needed)
+        self._move_to(max(min(rows, self.max_frames + self.max_frames // 4 + 1), needed))
+
+    def _move_to(self, n_rows: int) -> None:
+        """Move the samples to the front of arrays of at least so many rows."""
+        n_kept = self._end - self._start
         for name in ('_stamp', '_values', '_confidence'):
             old = getattr(self, name)
-            new = old if rows <= len(old) else np.empty((rows, *old.shape[1:]), old.dtype)
+            fits = n_rows <= len(old) and not self._is_lent
+            new = old if fits else np.empty((n_rows, *old.shape[1:]), old.dtype)
             new[:n_kept] = old[self._start : self._end]
             setattr(self, name, new)
-        self._start, self._sorted, self._end = 0, n_kept, n_kept
+        self._is_lent = False
+        self._sorted -= self._start
+        self._start, self._end = 0, n_kept

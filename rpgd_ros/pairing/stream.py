@@ -149,6 +149,10 @@ class JointStream:
         """Return sorted unique samples, valid until the next message."""
         return self._store.samples()
 
+    def lend(self) -> Samples:
+        """Return sorted unique samples that stay what they are; nothing is copied for it."""
+        return self._store.lend()
+
     def _add_stamped(self, stamp_ns: IntArray, values: Array, confidence: Array | None) -> bool:
         """Take stretches that belong at once, and what lies between them one by one."""
         went_back = False
