@@ -137,6 +137,35 @@ def test_missing_parent_folder_is_said(tmp_path: Path, capsys: pytest.CaptureFix
     assert 'is no folder: create it first' in capsys.readouterr().err
 
 
+def test_place_that_cannot_be_written_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the words of the operating system: here a name as long as names may be."""
+    assert simulate.main([*SHORT, '--output', str(tmp_path / ('n' * 250))]) == 2
+    assert 'cannot be written: File name too long' in capsys.readouterr().err
+    assert names_in(tmp_path) == set()
+
+
+def test_older_recording_survives_a_failure_of_the_last_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between taking the old one away and putting the new one there, the disk fails."""
+    output = tmp_path / 'demo'
+    assert simulate.main([*SHORT, '--output', str(output)]) == 0
+    before = (output / 'truth.yaml').read_bytes()
+    rename = Path.rename
+
+    def fail_at_last(self: Path, target: Path) -> Path:
+        if self.name == 'finished':
+            raise OSError(28, 'No space left on device')
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, 'rename', fail_at_last)
+    assert simulate.main([*SHORT, '--output', str(output), '--seed', '1', '--force']) == 2
+    assert names_in(tmp_path) == {'demo'}
+    assert (output / 'truth.yaml').read_bytes() == before
+
+
 @pytest.mark.parametrize('stop', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize('forced', [False, True])
 def test_stopped_run_leaves_nothing_behind(

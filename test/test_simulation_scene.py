@@ -223,3 +223,23 @@ def test_progress_is_told_per_camera() -> None:
         progress=lambda stage, fraction: told.append((stage, fraction)),
     )
     assert told == [('filming', 0.25), ('filming', 0.5), ('filming', 0.75), ('filming', 1.0)]
+
+
+@pytest.mark.parametrize(
+    ('faults', 'message'),
+    [
+        ({'bias_m': -0.1}, '0 or more metres, got -0.1'),
+        ({'bias_frame': 'moon'}, "'moon'; known: h"),
+    ],
+)
+def test_faults_out_of_range_are_refused(faults: dict[str, object], message: str) -> None:
+    """Found, needed."""
+    with pytest.raises(InputError, match=message):
+        Faults(**faults)  # type: ignore[arg-type]
+
+
+def test_person_whom_no_camera_sees_gives_an_empty_recording() -> None:
+    """Nothing to scale the noise by is no reason to fail."""
+    far_aside = build_scene(preset('human36m'), 0, seconds=0.5, centre=(50.0, 0.0))
+    for stream in simulate(far_aside).streams:
+        assert not stream.is_sent.any()

@@ -173,9 +173,12 @@ def _put_in_place(scratch: Path, output: Path) -> None:
         if output.exists():
             output.rename(replaced)
         finished.rename(output)
-    except BaseException:
+    except BaseException as error:
         if replaced.exists() and not output.exists():
-            replaced.rename(output)  # stopped between the two: the older one stays
+            replaced.rename(output)  # ended between the two: the older one stays
+        if isinstance(error, OSError):
+            msg = f'{output} cannot be written: {error.strerror or error}'
+            raise InputError(Reason.NOT_WRITABLE, msg) from error
         raise
 
 

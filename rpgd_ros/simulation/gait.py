@@ -20,7 +20,7 @@ HEEL_TO_BALL = 0.18
 STRAIGHT = 0.995 * (THIGH + SHANK)  # a standing knee is never quite straight: 11 deg here
 TRACK_HALF_WIDTH = 0.075  # people walk on a narrower track than their hips
 BALL_FORWARD = 0.09  # of the hip, when standing
-HALF_HEIGHT_BLEND = 0.02  # metres over which the pelvis passes from one carrying leg to the other
+PELVIS_BLEND_M = 0.02  # over which the pelvis passes from one carrying leg to the other
 TOE_OUT = np.radians(6.0)
 
 
@@ -142,7 +142,7 @@ def pelvis_height(ankles: tuple[Array, Array], hips: tuple[Array, Array], scale:
         across2 = ((ankle[:, :2] - hip[:, :2]) ** 2).sum(-1)
         rise = np.sqrt(np.maximum((STRAIGHT * scale) ** 2 - across2, (0.3 * scale) ** 2))
         limits.append(ankle[:, 2] + rise - hip[:, 2])
-    blend = HALF_HEIGHT_BLEND
+    blend = PELVIS_BLEND_M
     lowest: Array = -blend * np.logaddexp(-limits[0] / blend, -limits[1] / blend)
     return lowest
 

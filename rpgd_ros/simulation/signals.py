@@ -72,11 +72,6 @@ class Path:
     start: float
     interval: float
 
-    @property
-    def end(self) -> float:
-        """Time of the curve's end, seconds."""
-        return self.start + self.interval * (len(self.control) - 3)
-
     def position(self, t: Array) -> Array:
         """Return where the path is (T, 2), metres."""
         k, u = self._locate(t)
