@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions that find their type and QoS in the graph and hand on serialised messages.
+
+A callback only appends bytes to a list. `flush` hands them on in one go: the decoder takes a batch
+for little more than one message, so that the executor stays free for the middleware's queues.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, cast
+
+from geometry_msgs.msg import PoseArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from sensor_msgs.msg import CameraInfo, PointCloud2
+
+from rpgd_ros.messages import JOINT_TYPES, POINT_CLOUD2, POSE_ARRAY
+from rpgd_ros.ros.declare import is_given
+from rpgd_ros.ros.parameters import listed, shown
+
+MESSAGE_CLASSES: dict[str, type] = {POINT_CLOUD2: PointCloud2, POSE_ARRAY: PoseArray}
+
+DEPTH = 200  # messages: 0.8 s of a 240 Hz skeleton, longer than any callback of the node takes
+MAX_PENDING_BYTES = 4 * 2**20  # handed on at once beyond it: 0.1 s of a flood stays small
+STALE_SECONDS = 3.0  # a camera at 1 fps is still alive, a dead one is named within 3 s
+
+Deliver = Callable[[str, str, Sequence[bytes], Sequence[int]], None]
+
+
+class Health(NamedTuple):
+    """What is to be said of one input.
+
+    Attributes:
+        problem: Sentence; '' = none.
+        is_hopeless: Whether waiting does not help against it.
+        msg_type: Type subscribed to, '' = none yet.
+        qos: Reliability subscribed with, '' = none yet.
+        n_received: Messages since start.
+        rate_hz: Messages per second since the last question.
+        age_s: Time since the last message, NaN before the first.
+
+    """
+
+    problem: str
+    is_hopeless: bool
+    msg_type: str
+    qos: str
+    n_received: int
+    rate_hz: float
+    age_s: float
+
+
+class JointInput:
+    """One topic of skeletons or keypoints.
+
+    Attributes:
+        stream: Name of the stream in the session.
+        topic: As the rig file has it.
+        n_received: Messages since start.
+
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        stream: str,
+        topic: str,
+        msg_type: str,
+        deliver: Deliver,
+    ) -> None:
+        """Look for the topic; subscribe at once where the type is given.
+
+        Args:
+            node: The node.
+            stream: Name of the stream in the session.
+            topic: Topic, relative names allowed.
+            msg_type: One of `JOINT_TYPES`, or '' for the publisher's.
+            deliver: Called by `flush` with stream, type, payloads and receive stamps.
+
+        """
+        self.stream = stream
+        self.topic = topic
+        self._node = node
+        self._given_type = msg_type
+        self._deliver = deliver
+        self._group = MutuallyExclusiveCallbackGroup()
+        self._subscription: Subscription | None = None
+        self._msg_type = ''
+        self._reliability = ReliabilityPolicy.RELIABLE
+        self._problem = ''
+        self._is_hopeless = False
+        self._payloads: list[bytes] = []
+        self._receive_ns: list[int] = []
+        self._pending_bytes = 0
+        self.n_received = 0
+        self._n_at_last_question = 0
+        self._last_question_s = time.monotonic()
+        self._last_message_s = float('nan')
+        self.poll()
+
+    @property
+    def is_subscribed(self) -> bool:
+        """Whether a subscription stands."""
+        return self._subscription is not None
+
+    def poll(self) -> None:
+        """Ask the graph who publishes, and subscribe, or subscribe anew, to fit."""
+        name = self._node.resolve_topic_name(self.topic)
+        publishers = self._node.get_publishers_info_by_topic(name)
+        types = sorted({p.topic_type for p in publishers})
+        wanted = self._given_type or next((t for t in types if t in JOINT_TYPES), '')
+        self._problem = _problem(name, wanted, types)
+        self._is_hopeless = bool(types) and not wanted
+        if not wanted:
+            return
+        reliability = _fitting(publishers)
+        if self.is_subscribed and not publishers:
+            return
+        if (wanted, reliability) != (self._msg_type, self._reliability) or not self.is_subscribed:
+            self._subscribe(wanted, reliability)
+
+    def flush(self) -> None:
+        """Hand on what has arrived."""
+        if not self._payloads:
+            return
+        payloads, receive_ns = self._payloads, self._receive_ns
+        self._payloads, self._receive_ns, self._pending_bytes = [], [], 0
+        self._deliver(self.stream, self._msg_type, payloads, receive_ns)
+
+    def health(self) -> Health:
+        """Say how the input is doing; the rate counts from the last call."""
+        now = time.monotonic()
+        elapsed = max(now - self._last_question_s, 1e-3)
+        rate = (self.n_received - self._n_at_last_question) / elapsed
+        self._n_at_last_question, self._last_question_s = self.n_received, now
+        age = now - self._last_message_s
+        problem = self._problem
+        if not problem and age > STALE_SECONDS:
+            problem = f'no message on {shown(self.topic)} for {age:.0f} s'
+        qos = self._reliability.name if self.is_subscribed else ''
+        return Health(problem, self._is_hopeless, self._msg_type, qos, self.n_received, rate, age)
+
+    def _subscribe(self, msg_type: str, reliability: ReliabilityPolicy) -> None:
+        self.flush()
+        if self._subscription is not None:
+            # First, because one participant cannot hold two types under one topic name.
+            self._node.destroy_subscription(self._subscription)
+        self._msg_type, self._reliability = msg_type, reliability
+        self._subscription = self._node.create_subscription(
+            MESSAGE_CLASSES[msg_type],
+            self.topic,
+            cast('Callable[[Any], None]', self._on_message),
+            QoSProfile(depth=DEPTH, reliability=reliability, durability=DurabilityPolicy.VOLATILE),
+            callback_group=self._group,
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible),
+            qos_overriding_options=QoSOverridingOptions(self._overridable()),
+            raw=True,
+        )
+
+    def _overridable(self) -> list[QoSPolicyKind]:
+        # A policy once declared as a parameter keeps its first value: the reliability would no
+        # longer follow the publishers, so it is declared only where the user has set it.
+        name = self._node.resolve_topic_name(self.topic)
+        kinds = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH]
+        if is_given(self._node, f'qos_overrides.{name}.subscription.reliability'):
+            kinds.append(QoSPolicyKind.RELIABILITY)
+        return kinds
+
+    def _on_message(self, payload: Any, info: dict[str, int]) -> None:
+        self._payloads.append(payload)
+        self._receive_ns.append(info['received_timestamp'])
+        self.n_received += 1
+        self._last_message_s = time.monotonic()
+        self._pending_bytes += len(payload)
+        if self._pending_bytes > MAX_PENDING_BYTES:
+            self.flush()
+
+    def _on_incompatible(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self._node.get_logger().warning(
+            f'{shown(self.topic)}: a publisher offers another {policy} than this node asks for',
+            throttle_duration_sec=5.0,
+        )
+
+
+class InfoInput:
+    """The CameraInfo topic of one camera: the newest message counts, the others do not."""
+
+    def __init__(
+        self, node: Node, camera: str, topic: str, deliver: Callable[[str, bytes], None]
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            node: The node.
+            camera: Camera of the rig file.
+            topic: Topic, relative names allowed.
+            deliver: Called by `flush` with the camera and the newest payload.
+
+        """
+        self.camera = camera
+        self._deliver = deliver
+        self._newest: bytes | None = None
+        node.create_subscription(
+            CameraInfo,
+            topic,
+            self._on_message,
+            QoSProfile(
+                depth=1,
+                reliability=ReliabilityPolicy.BEST_EFFORT,
+                durability=DurabilityPolicy.VOLATILE,
+            ),
+            callback_group=MutuallyExclusiveCallbackGroup(),
+            raw=True,
+        )
+
+    def flush(self) -> None:
+        """Hand on the newest message."""
+        if self._newest is not None:
+            payload, self._newest = self._newest, None
+            self._deliver(self.camera, payload)
+
+    def _on_message(self, payload: Any) -> None:
+        self._newest = payload
+
+
+def _fitting(publishers: Sequence[TopicEndpointInfo]) -> ReliabilityPolicy:
+    """RELIABLE where every publisher is, else BEST_EFFORT, which hears both."""
+    offered = {p.qos_profile.reliability for p in publishers}
+    if offered <= {ReliabilityPolicy.RELIABLE}:
+        return ReliabilityPolicy.RELIABLE
+    return ReliabilityPolicy.BEST_EFFORT
+
+
+def _problem(name: str, wanted: str, types: Sequence[str]) -> str:
+    if not types:
+        return f'nobody publishes {name}'
+    if not wanted:
+        known = listed(JOINT_TYPES)
+        return f'{name} carries {listed([shown(t) for t in types])}; this node reads {known}'
+    others = [t for t in types if t != wanted]
+    if others:
+        return f'{name} carries {listed([shown(t) for t in others])} beside {wanted}'
+    return ''

@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the node by name, made from the dataclasses that hold them. Needs no ROS.
+
+A parameter is called `<stage>.<field>`, those of `NodeSettings` have no prefix, and those of one
+camera begin with `camera.<name>.`. Defaults, ranges, units and meanings come from the fields.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from rpgd_ros.core.config import (
+    AcceptConfig,
+    CalibrationConfig,
+    RansacConfig,
+    RefineConfig,
+    Setting,
+    Stage,
+    setting,
+    settings_of,
+)
+from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.io.rig_types import KEYPOINT_UNITS, METRES_PER
+from rpgd_ros.messages import JOINT_TYPES
+from rpgd_ros.pairing import BufferConfig, SyncConfig
+from rpgd_ros.session import SessionConfig
+
+Value = bool | int | float | str | tuple[str, ...]
+
+MAX_SHOWN = 80  # characters of a foreign string in a message
+CAMERA_PREFIX = 'camera.'
+FROM_RIG = ('world_frame', 'mocap_frame')
+FROM_RIG_PREFIXES = ('mocap.', CAMERA_PREFIX)
+
+
+@dataclass(frozen=True)
+class NodeSettings(Stage):
+    """What belongs to the node as a whole."""
+
+    rig_file: str = setting('', 'Path of the rig file: cameras, joints, topics. Always needed')
+    cameras: tuple[str, ...] = setting((), 'Cameras of the rig file to use; empty = all of them')
+    world_frame: str = setting('', 'Parent frame of the published transform')
+    mocap_frame: str = setting(
+        '', 'Child frame of the published transform; empty = that of the messages'
+    )
+    tf_mode: Literal['static', 'none'] = setting(
+        'static', 'static: publish /tf_static; none: leave TF alone', choices=('static', 'none')
+    )
+    result_file: str = setting('', 'Where results are kept; empty = ~/.ros/rpgd/<node name>.yaml')
+    load_on_start: bool = setting(default=True, help='Publish the kept result at start')
+    zero_is_missing: bool = setting(
+        default=True,
+        help='Exact zeros in messages mean that the joint was not seen (many drivers do so)',
+    )
+    max_seconds: float = setting(
+        60.0, 'Time limit of one calibration; 0 = none', unit='s', low=0.0, high=3600.0
+    )
+    diagnostics_period: float = setting(
+        1.0, 'Time between two /diagnostics and ~/status messages', unit='s', low=0.1, high=60.0
+    )
+
+
+@dataclass(frozen=True)
+class AutoConfig(Stage):
+    """Calibration without a call."""
+
+    enabled: bool = setting(
+        default=True, help='Calibrate by itself whenever new data came', is_live=True
+    )
+    period_s: float = setting(
+        10.0, 'Time between two such calibrations', unit='s', low=0.5, high=3600.0, is_live=True
+    )
+
+
+@dataclass(frozen=True)
+class MocapSettings(Stage):
+    """What the rig file says of the MoCap system, and a parameter may say instead."""
+
+    topic: str = setting('', 'Topic of the skeleton')
+    type: str = setting(
+        '', 'Type of that topic; empty = what its publisher says', choices=('', *JOINT_TYPES)
+    )
+    units: Literal['m', 'cm', 'mm', 'inch'] = setting(
+        'm', 'Unit of the positions', choices=tuple(METRES_PER)
+    )
+    time_offset: float = setting(
+        0.0, 'How late the skeleton is stamped', unit='s', low=-10.0, high=10.0
+    )
+
+
+@dataclass(frozen=True)
+class CameraSettings(Stage):
+    """What the rig file says of one camera, and a parameter may say instead."""
+
+    keypoints_topic: str = setting('', 'Topic of the keypoints')
+    type: str = setting(
+        '', 'Type of that topic; empty = what its publisher says', choices=('', *JOINT_TYPES)
+    )
+    camera_info_topic: str = setting('', 'Topic of the CameraInfo; empty = rig file has K')
+    units: Literal['pixels', 'normalized', 'auto'] = setting(
+        'pixels', 'Unit of the keypoints', choices=KEYPOINT_UNITS
+    )
+    rectified: bool = setting(
+        default=False, help='Whether the keypoints were found in rectified images'
+    )
+    time_offset: float = setting(
+        0.0, 'How late the video is stamped', unit='s', low=-10.0, high=10.0
+    )
+    min_confidence: float = setting(
+        0.0, 'Keypoints with a lower score are missing', low=0.0, high=1e6
+    )
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """Every parameter of the node.
+
+    Attributes:
+        node: What belongs to the node as a whole.
+        mocap: The MoCap system.
+        auto: Calibration without a call.
+        sync: Pairing in time.
+        buffer: Bounds of the store.
+        ransac: Robust start.
+        refine: Refinement.
+        accept: Gates.
+        cameras: The cameras by name.
+
+    """
+
+    node: NodeSettings = field(default_factory=NodeSettings)
+    mocap: MocapSettings = field(default_factory=MocapSettings)
+    auto: AutoConfig = field(default_factory=AutoConfig)
+    sync: SyncConfig = field(default_factory=SyncConfig)
+    buffer: BufferConfig = field(default_factory=BufferConfig)
+    ransac: RansacConfig = field(default_factory=lambda: CalibrationConfig.thorough().ransac)
+    refine: RefineConfig = field(default_factory=lambda: CalibrationConfig.thorough().refine)
+    accept: AcceptConfig = field(default_factory=lambda: CalibrationConfig.thorough().accept)
+    cameras: Mapping[str, CameraSettings] = field(default_factory=dict)
+
+    @classmethod
+    def paper(cls) -> NodeConfig:
+        """Return the settings with which the node runs the published method."""
+        config = CalibrationConfig.paper()
+        return cls(ransac=config.ransac, refine=config.refine, accept=config.accept)
+
+    def session(self) -> SessionConfig:
+        """Return the part that the session needs."""
+        calibration = replace(
+            CalibrationConfig.thorough(),
+            ransac=self.ransac,
+            refine=self.refine,
+            accept=self.accept,
+            max_seconds=self.node.max_seconds,
+        )
+        return SessionConfig(
+            calibration=calibration,
+            sync=self.sync,
+            buffer=self.buffer,
+            zero_is_missing=self.node.zero_is_missing,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One declared parameter.
+
+    Attributes:
+        name: Full name.
+        default: Its value where none is given.
+        setting: Meaning, unit and range.
+        is_from_rig: Whether the rig file gives the default.
+
+    """
+
+    name: str
+    default: Value
+    setting: Setting
+    is_from_rig: bool = False
+
+    def read(self, value: object) -> Value:
+        """Check a given value and return it in the type of the default.
+
+        An integer may stand for a float. None stands for an empty list: rcl gives no type to one.
+
+        Raises:
+            InputError: Wrong type or outside the range.
+
+        """
+        read = _typed(self.default, value)
+        if read is None:
+            msg = f'parameter {self.name}: need {_type_name(self.default)}, got {shown(value)}'
+            raise InputError(Reason.BAD_PARAMETER, msg)
+        complaint = self.setting.complaint(read)
+        if complaint:
+            msg = f'parameter {self.name}: {complaint}'
+            raise InputError(Reason.BAD_PARAMETER, msg)
+        return read
+
+
+def parameters(cameras: Sequence[str], *, defaults: NodeConfig | None = None) -> list[Parameter]:
+    """List all parameters of a node with these cameras, in the order of the documentation."""
+    config = defaults or NodeConfig()
+    found = list(_of_stage('', config.node))
+    for stage in ('mocap', 'sync', 'buffer', 'auto', 'ransac', 'refine', 'accept'):
+        found += _of_stage(f'{stage}.', getattr(config, stage))
+    for name in cameras:
+        found += _of_stage(f'{CAMERA_PREFIX}{name}.', config.cameras.get(name, CameraSettings()))
+    return found
+
+
+def read_config(
+    given: Mapping[str, object], cameras: Sequence[str], *, base: NodeConfig | None = None
+) -> NodeConfig:
+    """Build the configuration from given values.
+
+    Args:
+        given: Values by full parameter name.
+        cameras: Cameras that the rig file has.
+        base: Values of what is not given; None = the defaults.
+
+    Raises:
+        InputError: An unknown name, a wrong type, a value outside its range, an unknown camera.
+
+    """
+    config = base or NodeConfig()
+    check_names(given, cameras)
+    known = {p.name: p for p in parameters(cameras)}
+    changes: dict[str, dict[str, Value]] = {}
+    for name, value in given.items():
+        stage, _, key = name.rpartition('.')
+        changes.setdefault(stage, {})[key] = known[name].read(value)
+    per_camera = dict(config.cameras)
+    for stage, values in changes.items():
+        if stage.startswith(CAMERA_PREFIX):
+            camera = stage.removeprefix(CAMERA_PREFIX)
+            before = per_camera.get(camera, CameraSettings())
+            per_camera[camera] = _changed(before, values)
+        else:
+            slot = stage or 'node'
+            config = _changed(config, {slot: _changed(getattr(config, slot), values)})
+    config = replace(config, cameras=per_camera)
+    check_cameras(config.node.cameras, cameras)
+    return config
+
+
+def check_names(given: Iterable[str], cameras: Sequence[str] | None) -> None:
+    """Refuse names that no parameter has.
+
+    Args:
+        given: Full parameter names.
+        cameras: Cameras that the rig file has; None where they are not known yet, which lets
+            every `camera.*` pass.
+
+    Raises:
+        InputError: BAD_PARAMETER with the nearest known name, or UNKNOWN_CAMERA.
+
+    """
+    known = {p.name for p in parameters(cameras or ())}
+    for name in given:
+        is_for_later = cameras is None and name.startswith(CAMERA_PREFIX)
+        if name not in known and not is_for_later:
+            raise _unknown(name, known, cameras or ())
+
+
+def check_cameras(wanted: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse names in parameter `cameras` that the rig file does not have.
+
+    Raises:
+        InputError: UNKNOWN_CAMERA, naming those that exist.
+
+    """
+    for name in wanted:
+        if name not in known:
+            msg = f'parameter cameras: the rig file has no {shown(name)}, it has {listed(known)}'
+            raise InputError(Reason.UNKNOWN_CAMERA, msg)
+
+
+def shown(value: object) -> str:
+    """Return a foreign value as it may stand in a message or log."""
+    text = repr(value)
+    return text if len(text) <= MAX_SHOWN else f'{text[: MAX_SHOWN - 3]}...'
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a comma-separated list."""
+    return ', '.join(names) or 'none'
+
+
+def _of_stage(prefix: str, stage: object) -> Iterator[Parameter]:
+    for f, s in settings_of(stage):
+        name = prefix + f.name
+        is_from_rig = name in FROM_RIG or name.startswith(FROM_RIG_PREFIXES)
+        yield Parameter(name, getattr(stage, f.name), s, is_from_rig)
+
+
+def _changed(stage: Any, values: Mapping[str, Any]) -> Any:
+    return replace(stage, **values)
+
+
+def _typed(default: Value, value: object) -> Value | None:
+    """Return a value in the type of the default, or None where that cannot be."""
+    if isinstance(default, bool):
+        return value if isinstance(value, bool) else None
+    if isinstance(default, float):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        return float(value) if is_number else None  # type: ignore[arg-type]
+    if isinstance(default, int):
+        return value if isinstance(value, int) and not isinstance(value, bool) else None
+    if isinstance(default, str):
+        return value if isinstance(value, str) else None
+    items = () if value is None else value
+    if isinstance(items, list | tuple) and all(isinstance(item, str) for item in items):
+        return tuple(item for item in items if item)
+    return None
+
+
+def _type_name(default: Value) -> str:
+    names = {bool: 'true or false', float: 'a number', int: 'an integer', str: 'a string'}
+    return names.get(type(default), 'a list of strings')
+
+
+def _unknown(name: str, known: Iterable[str], cameras: Sequence[str]) -> InputError:
+    camera = name.removeprefix(CAMERA_PREFIX).partition('.')[0]
+    if name.startswith(CAMERA_PREFIX) and camera not in cameras:
+        msg = (
+            f'parameter {shown(name)}: the rig file has no camera {shown(camera)}, '
+            f'it has {listed(cameras)}'
+        )
+        return InputError(Reason.UNKNOWN_CAMERA, msg)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f'did you mean {near[0]}?' if near else 'config/calibrator.yaml lists all of them'
+    return InputError(Reason.BAD_PARAMETER, f'unknown parameter {shown(name)}: {hint}')

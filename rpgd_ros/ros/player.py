@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A peer of the node: plays recordings to it over DDS, listens to it and calls its services."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
+
+from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.ros.inputs import MESSAGE_CLASSES
+from rpgd_ros.ros.parameters import listed, shown
+from rpgd_ros.ros.transforms import LATCHED
+
+SPIN_SECONDS = 0.05  # longest time without a look at the caller's condition
+PLAY_DEPTH = 1000  # messages kept for a subscriber that is behind: 1 s at 1000 messages per second
+NS_PER_S = 1_000_000_000
+
+
+class Timed(NamedTuple):
+    """One serialised message of a recording.
+
+    Attributes:
+        topic: Where it goes.
+        stamp_ns: When it was recorded.
+        payload: Its bytes.
+
+    """
+
+    topic: str
+    stamp_ns: int
+    payload: bytes
+
+
+class Peer:
+    """A node in a context of its own, which leaves the signals of the process alone.
+
+    Everything happens in the calling thread: messages are taken while `wait_until` runs.
+    """
+
+    def __init__(self, name: str, *, domain_id: int | None = None) -> None:
+        """Join the graph.
+
+        Args:
+            name: Name of the node.
+            domain_id: Domain; None = that of the environment.
+
+        """
+        self._context = Context()
+        self._context.init(domain_id=domain_id)
+        self.node = Node(name, context=self._context, start_parameter_services=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._publishers: dict[str, Publisher] = {}
+        self._newest: dict[str, Any] = {}
+
+    def __enter__(self) -> Self:
+        """Return the peer."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Leave the graph."""
+        self.close()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def wait_until(self, condition: Callable[[], bool], *, seconds: float) -> bool:
+        """Take messages until a condition holds.
+
+        Args:
+            condition: Asked after each message and at least every `SPIN_SECONDS`.
+            seconds: Longest wait.
+
+        Returns:
+            Whether it held in time.
+
+        """
+        end = time.monotonic() + seconds
+        while not condition():
+            left = end - time.monotonic()
+            if left <= 0.0:
+                return False
+            self._executor.spin_once(timeout_sec=min(left, SPIN_SECONDS))
+        return True
+
+    def advertise(self, topics: Mapping[str, str], *, is_reliable: bool = True) -> None:
+        """Open a publisher for each topic.
+
+        Args:
+            topics: Type by topic.
+            is_reliable: Whether to offer RELIABLE, else BEST_EFFORT.
+
+        Raises:
+            InputError: A type that cannot be played.
+
+        """
+        policy = ReliabilityPolicy.RELIABLE if is_reliable else ReliabilityPolicy.BEST_EFFORT
+        qos = QoSProfile(depth=PLAY_DEPTH, reliability=policy)
+        for topic, msg_type in topics.items():
+            if msg_type not in MESSAGE_CLASSES:
+                known = listed(list(MESSAGE_CLASSES))
+                msg = f'{topic}: {shown(msg_type)} cannot be played, only {known}'
+                raise InputError(Reason.BAD_BAG, msg)
+            cls = MESSAGE_CLASSES[msg_type]
+            self._publishers[topic] = self.node.create_publisher(cls, topic, qos)
+
+    def without_subscriber(self) -> list[str]:
+        """Return the advertised topics that nobody listens to."""
+        return [
+            topic
+            for topic, publisher in self._publishers.items()
+            if not publisher.get_subscription_count()
+        ]
+
+    def play(
+        self,
+        messages: Iterable[Timed],
+        *,
+        rate: float,
+        on_message: Callable[[Timed], None] | None = None,
+    ) -> dict[str, int]:
+        """Publish messages at the distances in time at which they were recorded.
+
+        Args:
+            messages: In the order of their stamps.
+            rate: How many times faster than recorded.
+            on_message: Called after each.
+
+        Returns:
+            Number of messages published by topic.
+
+        """
+        sent = dict.fromkeys(self._publishers, 0)
+        start_s, start_ns = time.monotonic(), 0
+        for message in messages:
+            start_ns = start_ns or message.stamp_ns
+            due = start_s + (message.stamp_ns - start_ns) / (NS_PER_S * rate)
+            wait = due - time.monotonic()
+            if wait > 0.0:
+                time.sleep(wait)
+            self._publishers[message.topic].publish(message.payload)
+            sent[message.topic] += 1
+            if on_message is not None:
+                on_message(message)
+        return sent
+
+    def listen(self, topic: str, msg_type: type, *, qos: QoSProfile = LATCHED) -> None:
+        """Keep the newest message of a topic for `newest`."""
+        self.node.create_subscription(
+            msg_type, topic, lambda message: self._newest.__setitem__(topic, message), qos
+        )
+
+    def newest(self, topic: str) -> Any:
+        """Return the newest message of a topic listened to, or None."""
+        return self._newest.get(topic)
+
+    def listen_diagnostics(self) -> None:
+        """Begin to listen to /diagnostics for `diagnostics`."""
+        self.node.create_subscription(
+            DiagnosticArray,
+            '/diagnostics',
+            self._on_diagnostics,
+            10,
+        )
+
+    def diagnostics(self, name: str) -> dict[str, str]:
+        """Return the newest figures of one entry of /diagnostics, {} before the first."""
+        status = self._newest.get(f'rpgd_calibrator: {name}')
+        return {pair.key: pair.value for pair in status.values} if status else {}
+
+    def call(self, service: str, *, seconds: float) -> Trigger.Response | None:
+        """Call a Trigger service.
+
+        Args:
+            service: Full name.
+            seconds: Longest wait, for the service to appear and for its answer.
+
+        Returns:
+            Its answer, or None where none came in time.
+
+        """
+        client = self.node.create_client(Trigger, service)
+        try:
+            if not self.wait_until(client.service_is_ready, seconds=seconds):
+                return None
+            future = client.call_async(Trigger.Request())
+            self.wait_until(future.done, seconds=seconds)
+            return future.result() if future.done() else None
+        finally:
+            self.node.destroy_client(client)
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        self._newest.update({status.name: status for status in array.status})

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The published pose: messages of it, and the latched topics that carry them.
+
+Every number is cast to a Python float before it goes into a message: without its field checks
+rclpy sends a numpy scalar as another number.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64
+
+from rpgd_ros.core.geometry import Array, RigidTransform
+
+NS_PER_S = 1_000_000_000
+
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# ROS orders a pose's covariance x y z rotX rotY rotZ; ours is rotation first. Both turn about the
+# fixed axes of the parent frame.
+ROS_ORDER = np.array([3, 4, 5, 0, 1, 2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Published:
+    """What stands on the output topics.
+
+    Attributes:
+        world_frame: Parent frame.
+        mocap_frame: Child frame.
+        world_T_mocap: Pose of the MoCap origin in the world.
+        covariance: (6, 6) of (d_rot [rad], d_t [m]), world frame.
+        stamp_ns: When it was found.
+
+    """
+
+    world_frame: str
+    mocap_frame: str
+    world_T_mocap: RigidTransform
+    covariance: Array
+    stamp_ns: int
+
+
+def time_message(stamp_ns: int) -> Time:
+    """Return nanoseconds as a ROS time."""
+    sec, nanosec = divmod(int(stamp_ns), NS_PER_S)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def transform_message(published: Published) -> TransformStamped:
+    """Return the transform parent -> child: `x_world = world_T_mocap @ x_mocap`."""
+    message = TransformStamped()
+    message.header.stamp = time_message(published.stamp_ns)
+    message.header.frame_id = published.world_frame
+    message.child_frame_id = published.mocap_frame
+    t, q = message.transform.translation, message.transform.rotation
+    t.x, t.y, t.z = (float(v) for v in published.world_T_mocap.translation)
+    q.x, q.y, q.z, q.w = (float(v) for v in published.world_T_mocap.quat_xyzw)
+    return message
+
+
+def pose_message(published: Published) -> PoseWithCovarianceStamped:
+    """Return the pose of the MoCap origin in the world, with its covariance in ROS order."""
+    message = PoseWithCovarianceStamped()
+    message.header.stamp = time_message(published.stamp_ns)
+    message.header.frame_id = published.world_frame
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    p.x, p.y, p.z = (float(v) for v in published.world_T_mocap.translation)
+    q.x, q.y, q.z, q.w = (float(v) for v in published.world_T_mocap.quat_xyzw)
+    covariance = published.covariance[np.ix_(ROS_ORDER, ROS_ORDER)]
+    message.pose.covariance = [float(v) for v in covariance.ravel()]
+    return message
+
+
+class TransformOutput:
+    """The latched topics ~/transform, ~/pose, ~/reprojection_error, and /tf_static if possible.
+
+    /tf_static has a publisher of our own: that of tf2_ros in Jazzy never sends a changed
+    transform of a child frame it has sent before (geometry2 #704).
+    """
+
+    def __init__(self, node: Node, *, with_tf: bool) -> None:
+        """Create the publishers.
+
+        Args:
+            node: The node.
+            with_tf: Whether /tf_static is wanted.
+
+        """
+        self._transform = node.create_publisher(TransformStamped, '~/transform', LATCHED)
+        self._pose = node.create_publisher(PoseWithCovarianceStamped, '~/pose', LATCHED)
+        self._error = node.create_publisher(Float64, '~/reprojection_error', LATCHED)
+        self._tf: Any = None
+        self._tf_message: Any = None
+        if with_tf:
+            self._open_tf(node)
+
+    def publish(self, published: Published) -> None:
+        """Publish a pose on every topic; whoever joins later gets it too."""
+        transform = transform_message(published)
+        self._transform.publish(transform)
+        self._pose.publish(pose_message(published))
+        if self._tf is not None:
+            self._tf.publish(self._tf_message(transforms=[transform]))
+
+    def publish_error(self, error_px: float) -> None:
+        """Publish the mean reprojection error of the published pose, pixels."""
+        self._error.publish(Float64(data=float(error_px)))
+
+    def _open_tf(self, node: Node) -> None:
+        try:
+            self._tf_message = importlib.import_module('tf2_msgs.msg').TFMessage
+        except ImportError:
+            node.get_logger().warning(
+                'tf2_msgs is not installed: /tf_static is not published, ~/transform is. '
+                'Install ros-jazzy-tf2-msgs, or set tf_mode to none to silence this.'
+            )
+            return
+        self._tf = node.create_publisher(self._tf_message, '/tf_static', LATCHED)

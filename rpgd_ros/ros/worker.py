@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One thread beside the executor, for what takes long: the solve and the writing of its files."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+from rclpy.executors import Executor
+from rclpy.task import Future
+
+T = TypeVar('T')
+
+JOIN_SECONDS = 0.3  # the executor has waited before: the thread is gone or does not listen
+# A write of a few hundred KiB takes milliseconds; a disk that needs longer than this is gone.
+WRITE_SECONDS = 10.0
+
+
+def attempt(job: Callable[[], T]) -> T | Exception:
+    """Run something at the edge of the node, which lives on whatever it raises.
+
+    Returns:
+        Its result, or what it raised.
+
+    """
+    try:
+        return job()
+    except Exception as error:
+        return error
+
+
+class Worker:
+    """Runs jobs beside the executor and completes a future of the executor's with each result.
+
+    The threads are daemons, so that a solve that does not listen to `should_stop` does not keep
+    the process alive. What a job does inside `uncut` is waited for.
+    """
+
+    def __init__(self) -> None:
+        """Make an idle worker."""
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._writing = threading.Lock()
+
+    def should_stop(self) -> bool:
+        """Tell a job whether it should end early."""
+        return self._stop.is_set()
+
+    def start(self, job: Callable[[], object], executor: Executor) -> Future:
+        """Run a job in a thread of its own.
+
+        Args:
+            job: What to do.
+            executor: The executor in which the future is awaited.
+
+        Returns:
+            A future of what `attempt` makes of the job.
+
+        """
+        future = Future(executor=executor)
+
+        def work() -> None:
+            future.set_result(attempt(job))
+            executor.wake()
+
+        self._thread = threading.Thread(target=work, name='solver', daemon=True)
+        self._thread.start()
+        return future
+
+    @contextmanager
+    def uncut(self) -> Iterator[None]:
+        """Keep the process alive while a file is written."""
+        with self._writing:
+            yield
+
+    def request_stop(self) -> None:
+        """Ask the running job to end."""
+        self._stop.set()
+
+    def join(self) -> None:
+        """Wait a moment for the running job, and for as long as needed while it writes a file."""
+        if self._thread is not None:
+            self._thread.join(JOIN_SECONDS)
+        if self._writing.acquire(timeout=WRITE_SECONDS):
+            self._writing.release()
