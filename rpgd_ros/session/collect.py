@@ -11,10 +11,10 @@ import numpy as np
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.geometry import IntArray, RigidTransform
-from rpgd_ros.core.observations import NS_PER_S, MocapTrack, Observations, View
+from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.io.rig import Rig
 from rpgd_ros.messages import decode_camera_info
-from rpgd_ros.pairing import PairCounts, match, pair
+from rpgd_ros.pairing import PairCounts, match
 from rpgd_ros.session.config import SessionConfig
 from rpgd_ros.session.inputs import CameraInput, MocapInput, StreamInput, describe
 from rpgd_ros.session.snapshot import Snapshot
@@ -175,7 +175,7 @@ class Session:
         return self._mocap.motion_m()
 
     def snapshot(self) -> Snapshot:
-        """Pair what has been collected.
+        """Take what has been collected, for one solve. Quick: nothing is copied.
 
         Raises:
             CalibrationError: NO_DATA, MISSING_INTRINSICS or NO_EXTRINSICS, naming streams or
@@ -185,27 +185,21 @@ class Session:
         self._check_frames()
         self._check_data()
         cameras = self._calibrated_cameras()
-        mocap = self._mocap.store.arrays()
-        views: list[View] = []
-        counts = {}
-        for camera in cameras:
-            source = self._cameras[camera.name]
-            view, counts[camera.name] = pair(
-                mocap,
-                source.keypoints(camera.size),
-                settings=self._config.sync,
-                time_offset_s=self._offset_s(source),
-            )
-            views.append(view)
+        counts = {
+            name: count
+            for name, count in self.pair_counts().items()
+            if self._cameras[name].camera is not None
+        }
         if not any(count.paired for count in counts.values()):
             raise CalibrationError(Reason.NO_DATA, self._never_meet(cameras))
-        track = MocapTrack(mocap.stamp_ns.copy(), mocap.values.copy())
-        names = tuple(self._rig.mocap.joints[j] for j in self._columns)
+        sources = [self._cameras[camera.name] for camera in cameras]
         return Snapshot(
             cameras=cameras,
-            observations=Observations(tuple(views), track, names),
+            keypoints=tuple(source.lend(self._offset_s(source)) for source in sources),
+            skeletons=self._mocap.store.lend(),
+            joint_names=tuple(self._rig.mocap.joints[j] for j in self._columns),
+            sync=self._config.sync,
             config=self._config.calibration,
-            time_offset_s={name: self._offset_s(c) for name, c in self._cameras.items()},
             pair_counts=counts,
             left_out=tuple(name for name, c in self._cameras.items() if c.camera is None),
         )

@@ -14,10 +14,9 @@ from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import Array, BoolArray, RigidTransform
 from rpgd_ros.io.rig import METRES_PER, MocapSource, RigCamera
 from rpgd_ros.messages import CameraInfo, decode_joints
-from rpgd_ros.pairing import BufferConfig, JointStream, Samples
+from rpgd_ros.pairing import BufferConfig, JointStream
+from rpgd_ros.session.snapshot import KeypointTrack
 
-# Pixels of an image are counted in hundreds: a median below 2 can only be shares of its size.
-LARGEST_NORMALISED = 2.0
 MOTION_FRAMES = 200  # of which the way of the body is measured, spread over the recording
 
 
@@ -161,7 +160,6 @@ class CameraInput(StreamInput):
         self.camera: Camera | None = rig.camera
         self._pose = rig.extrinsics
         self._info: CameraInfo | None = None
-        self._n_columns = len(columns)
         self._columns = np.array([columns.index(j) for j, _ in rig.pairs], np.int64)
 
     @property
@@ -194,28 +192,18 @@ class CameraInput(StreamInput):
         elif self.camera is not None:
             self.camera = replace(self.camera, camera_T_world=camera_T_world)
 
-    def keypoints(self, size: tuple[int, int]) -> Samples:
-        """Return keypoints in the columns of the observations: (F, J, 2) pixels, NaN = missing."""
-        samples = self.store.arrays()
-        uv, confidence = samples.values, samples.confidence
-        scale = np.array(size, np.float64) if self._is_normalised(uv) else None
-        out = np.full((len(uv), self._n_columns, 2), np.nan)
-        out[:, self._columns] = uv if scale is None else uv * scale
-        if confidence is None:
-            return Samples(samples.stamp_ns, out, None)
-        scores = np.full(out.shape[:2], np.nan)
-        scores[:, self._columns] = confidence
-        out[scores < self.rig.min_confidence] = np.nan
-        return Samples(samples.stamp_ns, out, scores)
-
-    def _is_normalised(self, uv: Array) -> bool:
-        if self.rig.units != 'auto':
-            return self.rig.units == 'normalized'
-        there = np.abs(uv[np.isfinite(uv)])
-        return bool(there.size) and float(np.median(there)) < LARGEST_NORMALISED
+    def lend(self, time_offset_s: float) -> KeypointTrack:
+        """Return the keypoints for a snapshot."""
+        return KeypointTrack(
+            samples=self.store.lend(),
+            columns=self._columns,
+            units=self.rig.units,
+            min_confidence=self.rig.min_confidence,
+            time_offset_s=time_offset_s,
+        )
 
     def _prepared(self, values: Array, confidence: Array | None) -> Array:
-        # Low scores are taken out by `keypoints`, so that a new limit holds for what is stored.
+        # Low scores are taken out of the snapshot, so that a new limit holds for what is stored.
         if confidence is not None and self.rig.min_confidence > 0.0:
             low = int(np.count_nonzero(confidence < self.rig.min_confidence))
             if low:

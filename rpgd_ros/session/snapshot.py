@@ -5,35 +5,110 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
 
 from rpgd_ros.core import calibrate
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.config import CalibrationConfig
-from rpgd_ros.core.observations import Observations
+from rpgd_ros.core.geometry import Array, IntArray
+from rpgd_ros.core.observations import MocapTrack, Observations
 from rpgd_ros.core.result import Calibration
-from rpgd_ros.pairing import PairCounts
+from rpgd_ros.io.rig_types import KeypointUnits
+from rpgd_ros.pairing import PairCounts, Samples, SyncConfig, pair
+
+# Pixels of an image are counted in hundreds: a median below 2 can only be shares of its size.
+LARGEST_NORMALISED = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class KeypointTrack:
+    """The keypoints of one camera as they were sent.
+
+    Attributes:
+        samples: (F, K, 2) of the keypoints that are used.
+        columns: (K,) their columns in the observations.
+        units: Of the coordinates.
+        min_confidence: Keypoints with a lower score are missing.
+        time_offset_s: How late the video is stamped against the skeletons, seconds.
+
+    """
+
+    samples: Samples
+    columns: IntArray
+    units: KeypointUnits
+    min_confidence: float
+    time_offset_s: float
+
+
+@dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What one solve is given; it shares nothing with the session that goes on.
+    """What one solve is given; the session goes on without touching it.
 
     Attributes:
         cameras: Those with intrinsics, in the order of the rig file.
-        observations: One view per camera, stamped on the MoCap's clock.
-        config: Of the solve.
-        time_offset_s: How late each video is known to be, already taken into account.
-        pair_counts: Frames of each camera with and without a skeleton.
+        keypoints: Of these cameras.
+        skeletons: (M, J, 3) metres, of the joints that some camera sees.
+        joint_names: (J,) of the skeletons.
+        sync: Settings of the pairing.
+        config: Settings of the solve.
+        pair_counts: Frames of each of these cameras with and without a skeleton.
         left_out: Cameras whose intrinsics have not arrived.
 
     """
 
     cameras: tuple[Camera, ...]
-    observations: Observations
+    keypoints: tuple[KeypointTrack, ...]
+    skeletons: Samples
+    joint_names: tuple[str, ...]
+    sync: SyncConfig
     config: CalibrationConfig
-    time_offset_s: Mapping[str, float]
     pair_counts: Mapping[str, PairCounts]
     left_out: tuple[str, ...] = ()
+
+    @cached_property
+    def observations(self) -> Observations:
+        """The pairs, one view per camera, stamped on the MoCap's clock; made when first asked."""
+        views = tuple(
+            pair(
+                self.skeletons,
+                in_columns(track, len(self.joint_names), camera.size),
+                settings=self.sync,
+                time_offset_s=track.time_offset_s,
+            )[0]
+            for camera, track in zip(self.cameras, self.keypoints, strict=True)
+        )
+        mocap = MocapTrack(self.skeletons.stamp_ns, self.skeletons.values)
+        return Observations(views, mocap, self.joint_names)
+
+
+def in_columns(track: KeypointTrack, n_columns: int, size: tuple[int, int]) -> Samples:
+    """Return keypoints in the columns of the observations: (F, J, 2) pixels, NaN = missing.
+
+    Args:
+        track: Keypoints as sent.
+        n_columns: J.
+        size: Of the image, pixels.
+
+    """
+    stamp_ns, uv, confidence = track.samples
+    out = np.full((len(uv), n_columns, 2), np.nan)
+    out[:, track.columns] = uv * np.array(size) if _is_normalised(track) else uv
+    if confidence is None:
+        return Samples(stamp_ns, out, None)
+    scores = np.full(out.shape[:2], np.nan)
+    scores[:, track.columns] = confidence
+    out[scores < track.min_confidence] = np.nan
+    return Samples(stamp_ns, out, scores)
+
+
+def _is_normalised(track: KeypointTrack) -> bool:
+    if track.units != 'auto':
+        return track.units == 'normalized'
+    uv: Array = track.samples.values
+    there = np.abs(uv[np.isfinite(uv)])
+    return bool(there.size) and float(np.median(there)) < LARGEST_NORMALISED
 
 
 def solve(
@@ -64,8 +139,12 @@ def solve(
         progress=progress,
         should_stop=should_stop,
     )
+    known_s = {
+        camera.name: track.time_offset_s
+        for camera, track in zip(snapshot.cameras, snapshot.keypoints, strict=True)
+    }
     offsets = {
-        name: (offset_s + snapshot.time_offset_s.get(name, 0.0), sigma_s)
+        name: (offset_s + known_s[name], sigma_s)
         for name, (offset_s, sigma_s) in calibration.time_offset_s.items()
     }
     warnings = calibration.warnings
