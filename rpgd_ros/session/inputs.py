@@ -101,9 +101,10 @@ class StreamInput:
 
     def counts(self) -> dict[str, int]:
         """Return what became of the messages, and what was missing in them."""
-        stored = Counter(self.store.counts)
-        del stored['received']
-        return {'received': self._n_received, **(stored + self._dropped), **self._joints}
+        counts = {**self.store.counts, 'received': self._n_received}
+        for reason, n in self._dropped.items():
+            counts[reason] = counts.get(reason, 0) + n
+        return counts | self._joints
 
     def _prepared(self, values: Array, confidence: Array | None) -> Array:
         """Return coordinates as they are to be stored."""
@@ -122,15 +123,14 @@ class MocapInput(StreamInput):
     def motion_m(self) -> float:
         """Return how far the body moved: diagonal of the box that holds its centre, metres."""
         x = self.store.arrays().values
-        if not len(x):
-            return 0.0
         x = x[np.linspace(0, len(x) - 1, min(len(x), MOTION_FRAMES)).astype(np.int64)]
         there: BoolArray = np.isfinite(x.sum(-1))
-        n_there = there.sum(1)
-        whole = n_there >= max(1.0, 0.5 * float(n_there.max()))
-        if not whole.any():
+        there &= there.sum(1, keepdims=True) >= 0.5 * there.sum(1).max(initial=0)
+        x = x[there.any(1)][:, there.any(0)]
+        if not len(x):
             return 0.0
-        centres = np.nanmean(np.where(there[..., None], x, np.nan)[whole], 1)
+        # Each joint from its own place: a joint that comes and goes does not move the centre.
+        centres = np.nanmean(x - np.nanmedian(x, 0), 1)
         low, high = np.quantile(centres, [0.02, 0.98], axis=0)
         return float(np.linalg.norm(high - low))
 
