@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables for people: what came in, and what was found."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from rpgd_ros.core.result import Calibration, GroupFit
+from rpgd_ros.session import Session
+
+
+def print_streams(console: Console, session: Session) -> None:
+    """Print what became of the messages of each stream."""
+    table = _table('stream', 'topic', 'messages', 'kept', 'paired', 'dropped, missing joints')
+    pairs = session.pair_counts()
+    for topic, stream in session.topics().items():
+        counts = dict(session.counts(stream))
+        received, kept = counts.pop('received'), counts.pop('kept', 0)
+        rest = ', '.join(f'{n} {reason}' for reason, n in counts.items() if n)
+        paired = str(pairs[stream].paired) if stream in pairs else ''
+        table.add_row(stream, topic, str(received), str(kept), paired, rest)
+    console.print(table)
+
+
+def print_calibration(
+    console: Console, calibration: Calibration, world_frame: str, mocap_frame: str
+) -> None:
+    """Print the transform, how sure it is, and how each camera agrees with it."""
+    table = _table('camera', 'agree', 'keypoints', 'MPJPE px', 'agreeing px', 'bias px')
+    for fit in calibration.per_camera.values():
+        table.add_row(*_camera_row(fit))
+    console.print(table)
+    pose = calibration.world_T_mocap
+    sigma_deg, sigma_m = calibration.worst_sigma
+    table = _table('', '')
+    table.show_header = False
+    for name, value in (
+        ('transform', f'{world_frame} <- {mocap_frame or "mocap"}: x_world = R x_mocap + t'),
+        ('t (x y z)', f'{_numbers(pose.translation)} m'),
+        ('q (x y z w)', _numbers(pose.quat_xyzw)),
+        ('sigma', f'{sigma_deg:.3f} deg, {1000 * sigma_m:.1f} mm at the body'),
+        ('MPJPE', f'{calibration.mpjpe_px:.2f} px, median {calibration.median_px:.2f} px'),
+        ('inliers', f'{100 * calibration.inlier_ratio:.1f} % of {calibration.correspondences}'),
+        ('frames', str(calibration.frames)),
+        ('solve', f'{calibration.seconds:.2f} s'),
+        *(
+            (f'{camera} is late', f'{1000 * offset_s:.1f} +- {1000 * sigma_s:.1f} ms')
+            for camera, (offset_s, sigma_s) in calibration.time_offset_s.items()
+        ),
+    ):
+        table.add_row(name, value)
+    console.print(table)
+    for warning in calibration.warnings:
+        console.print(f'warning: {warning}', markup=False, highlight=False)
+
+
+def _camera_row(fit: GroupFit) -> tuple[str, ...]:
+    return (
+        fit.name,
+        f'{100 * fit.inlier_ratio:.1f} %',
+        str(fit.correspondences),
+        f'{fit.mpjpe_px:.2f}',
+        f'{fit.inlier_mpjpe_px:.2f}',
+        f'{fit.bias_px[0]:+.2f} {fit.bias_px[1]:+.2f}',
+    )
+
+
+def _numbers(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
+    return ' '.join(f'{value:.6f}' for value in values)
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    for i, column in enumerate(columns):
+        table.add_column(column, overflow='fold', justify='left' if i < 2 else 'right')
+    return table
