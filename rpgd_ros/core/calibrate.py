@@ -25,7 +25,6 @@ from rpgd_ros.core.diagnose import (
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.linearise import Sight, residuals
 from rpgd_ros.core.noise import LARGEST_NOISE, Loss, NoiseModel, SquaredLoss, fit_noise
-from rpgd_ros.core.polish import Candidate
 from rpgd_ros.core.quality import check_body, covariances, fits, motion_m, refuse, spread
 from rpgd_ros.core.ransac import published, robust_start
 from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
@@ -100,12 +99,13 @@ def calibrate(
     check_body(sights)
     rng = np.random.default_rng(config.ransac.seed if seed is None else seed)
     centroid = _centroid(sights)
-    candidates: tuple[Candidate, ...] = ()
+    rival_ratio = np.inf
     if config.ransac.score == 'inliers':
         pose, noise = _published_start(sights, config, rng, run)
     else:
-        candidates = robust_start(sights, config.ransac, rng, check=run.check('start')).candidates
-        pose, noise = candidates[0].world_T_mocap, candidates[0].noise
+        start = robust_start(sights, config.ransac, rng, check=run.check('start'))
+        rival_ratio = start.rival_ratio
+        pose, noise, _ = start.candidates[0]
     descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
     calibration = _report(
         sights, descent, loss, threshold_px=threshold_px, centroid=centroid,
@@ -114,7 +114,7 @@ def calibrate(
     refuse_swapped(sights, calibration)
     try:
         refuse(calibration, config.accept, motion_m(sights))
-        refuse_ambiguous(candidates)
+        refuse_ambiguous(rival_ratio)
     except CalibrationError as refusal:
         check = run.check('diagnosis')
         if refusal.reason in MAY_BE_MIRRORED and is_mirrored(sights, config.ransac, check=check):

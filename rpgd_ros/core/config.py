@@ -148,7 +148,7 @@ class AcceptConfig(Stage):
     """Gates between a pose and an accepted calibration."""
 
     min_inlier_ratio: float = setting(
-        0.2, 'Least share of correspondences that agree with the pose',
+        0.1, 'Least share of correspondences that agree with the pose',
         low=0.0, high=1.0, is_live=True,
     )  # fmt: skip
     min_pairs: int = setting(60, 'Least number of inliers', low=3, high=10**9, is_live=True)

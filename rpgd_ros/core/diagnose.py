@@ -10,7 +10,6 @@ import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.polish import Candidate
 from rpgd_ros.core.quality import spread
 from rpgd_ros.core.ransac import robust_start
 
@@ -39,14 +38,15 @@ MIRRORED = (
 )
 
 
-def refuse_ambiguous(candidates: Sequence[Candidate]) -> None:
+def refuse_ambiguous(ratio: float) -> None:
     """Raise AMBIGUOUS where a second, different pose explains the data nearly as well.
 
     A flat body far away looks the same from two sides (the two solutions of a planar target).
+
+    Args:
+        ratio: `Start.rival_ratio`.
+
     """
-    if len(candidates) < 2:
-        return
-    ratio = float(np.exp(candidates[1].cost - candidates[0].cost))
     if ratio < MIN_COST_RATIO:
         msg = (
             f'two different poses explain the data: the second has {ratio:.2f} times the squared '
@@ -106,4 +106,4 @@ def is_mirrored(
         robust_start(side, config, np.random.default_rng(config.seed), check=check).candidates[0]
         for side in (sights, mirrored)
     )
-    return other.noise.is_sharp and given.cost - other.cost > np.log(MIRROR_GAIN)
+    return other.is_sharp and given.cost - other.cost > np.log(MIRROR_GAIN)

@@ -29,6 +29,7 @@ BROADER = 4.0  # a gross part nearer to the noise than this is noise
 MAX_INLIER_SHARE = 0.999  # keeps a floor under the loss: the one gross error to come is bounded
 # Largest sigma by focal length: 10 cm at 3.3 m. Detectors on recorded footage show 0.003 to 0.008.
 LARGEST_NOISE = 0.03
+SHARP = 0.25  # of the largest sigma: 0.0075 of the focal length, 3 cm at 4 m
 INLIER_SIGMAS = 3.0  # threshold when none is given: 99 % of Gaussian noise, 87 % of nu = 3
 
 
@@ -152,7 +153,7 @@ def fit_noise(residual_px: Array, *, largest_px: float, quick: bool = False) -> 
         nu=float(nu[best, 0]),
         share=float(share[best, 0]),
         background=float((1.0 - share[best, 0]) / (2.0 * np.pi * broad2[best, 0])),
-        is_sharp=bool(sigma2[best, 0] < (0.5 * largest_px) ** 2),
+        is_sharp=bool(sigma2[best, 0] < (SHARP * largest_px) ** 2),
     )
 
 

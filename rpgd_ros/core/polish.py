@@ -12,7 +12,8 @@ from rpgd_ros.core.linearise import apply_delta
 from rpgd_ros.core.noise import LARGEST_NOISE, NoiseModel, fit_noise
 from rpgd_ros.core.pool import Pool
 
-POLISH_QUANTILE = 0.2  # of the residuals: their scale while the share of inliers is unknown
+LEAST_SHARE = 0.08  # below the least share of inliers that is accepted
+POLISH_QUANTILE = 0.1  # of the residuals: their scale while the share of inliers is unknown
 POLISH_STEPS = 10
 POLISH_DONE = 1e-5  # rad and m: far below what the pool can tell
 
@@ -30,6 +31,15 @@ class Candidate(NamedTuple):
     world_T_mocap: RigidTransform
     noise: NoiseModel
     cost: float
+
+    @property
+    def is_sharp(self) -> bool:
+        """Whether it explains enough of the data, and sharply.
+
+        A sharp fit of a tenth of the data is no accident. A blurred one of most of it may be:
+        that is what the pose of somebody else who walks in the same room looks like.
+        """
+        return self.noise.is_sharp and self.noise.share >= LEAST_SHARE
 
 
 def polish(pool: Pool, pose: RigidTransform) -> Candidate:

@@ -10,13 +10,21 @@ a small pool, the best of them polished there, until enough clean triplets must 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
-from rpgd_ros.core.geometry import Array, IntArray, RigidTransform, rotation_angle, so3_exp
+from rpgd_ros.core.geometry import (
+    Array,
+    BoolArray,
+    IntArray,
+    RigidTransform,
+    nearest_rotation,
+    rotation_angle,
+    so3_exp,
+)
 from rpgd_ros.core.linearise import residuals
 from rpgd_ros.core.polish import Candidate, polish
 from rpgd_ros.core.pool import Pool, make_pool
@@ -31,13 +39,14 @@ POOL_POINTS = 2048  # over all cameras: a pose polished on them starts the next 
 POOL_POINTS_PER_CAMERA = 128  # at least: a camera of a large rig must still show its own outliers
 COARSE_POINTS = 256  # first ranking; of those ranked, KEPT go on to the whole pool
 KEPT = 24
-POLISHED = 4  # of each batch: the best by score, different from each other
+POLISHED = 4  # the best by score, different from each other
 WITHIN = 2.0 * np.log(4.0)  # of the best score: others have 4 x its residuals and need no polish
-FIRST_BATCH = 64
-CLEAN_TRIPLETS = 10.0  # expected number of all-inlier triplets at the end: exp(-10) to have none
-UNEXPLAINED_SHARE = 0.2  # the least share of inliers that is accepted by default
-SOFT_PX = 2.0  # residuals below it rank alike: a pose of three noisy points is no better than that
-CAP_PX = 100.0  # residuals beyond it rank alike
+BATCH = 64
+CLEAN_TRIPLETS = 8.0  # expected number of all-inlier triplets at the end: exp(-8) to have none
+# By focal length, so that they mean an angle: residuals below the first rank alike (a pose made of
+# three noisy points is no better than that), as do those beyond the last; between lies a guess
+# which correspondences a hypothesis explains before anything is polished.
+SOFT, EXPLAINED, CAP = 0.002, 0.01, 0.03
 SAME_ANGLE = np.radians(2.0)  # two poses nearer than this, and SAME_DISTANCE, are one minimum
 SAME_DISTANCE = 0.15  # metres, at the body's centroid
 
@@ -49,11 +58,21 @@ class Start:
     Attributes:
         candidates: Distinct minima, the best first.
         drawn: Number of triplets drawn.
+        rival_ratio: Squared error of the second over that of the first, see `rival_ratio`.
 
     """
 
     candidates: tuple[Candidate, ...]
     drawn: int
+    rival_ratio: float
+
+
+class _Ranked(NamedTuple):
+    """Hypotheses by score, the best first."""
+
+    rotation: Array
+    translation: Array
+    score: Array
 
 
 def robust_start(
@@ -74,26 +93,28 @@ def robust_start(
     """
     pool = make_pool(sights, max(POOL_POINTS_PER_CAMERA, POOL_POINTS // len(sights)), rng)
     coarse = pool.take(np.arange(0, len(pool), max(1, len(pool) // COARSE_POINTS)))
-    found: list[Candidate] = []
-    drawn, batch = 0, FIRST_BATCH
+    kept = _Ranked(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
+    candidates: list[Candidate] = []
+    drawn, share = 0, 0.0
     while drawn < config.iterations:
-        triplets = draw_triplets(pool, min(batch, config.iterations - drawn), rng,
+        check(drawn / config.iterations)
+        triplets = draw_triplets(pool, min(BATCH, config.iterations - drawn), rng,
                                  same_frame=config.sampling == 'same_frame')  # fmt: skip
-        drawn, batch = drawn + len(triplets), drawn + len(triplets)
-        rotation, translation = solve_triplets(pool, triplets)
-        for index in _best_distinct(pool, coarse, rotation, translation):
-            check(drawn / config.iterations)
-            found.append(polish(pool, RigidTransform(rotation[index], translation[index])))
-        found = _distinct(found, pool.centroid_mocap)
-        if found:
-            noise = found[0].noise
-            share = noise.share if noise.is_sharp else min(noise.share, UNEXPLAINED_SHARE)
-            if drawn * share**3 >= CLEAN_TRIPLETS:
-                break
-    if not found:
+        drawn += len(triplets)
+        kept = _merge(kept, _rank(coarse, *solve_triplets(pool, triplets)))
+        if not len(kept.score):
+            continue
+        share = max(share, _explained(pool, kept))
+        if drawn * share**3 < CLEAN_TRIPLETS and drawn < config.iterations:
+            continue
+        candidates = _polish_best(pool, kept)
+        share = candidates[0].noise.share if candidates[0].is_sharp else 0.0
+        if drawn * share**3 >= CLEAN_TRIPLETS:
+            break
+    if not candidates:
         msg = f'none of {drawn} triplets gave a pose: are all points on one line, or one point?'
         raise CalibrationError(Reason.DEGENERATE_GEOMETRY, msg)
-    return Start(tuple(found), drawn)
+    return Start(tuple(candidates), drawn, rival_ratio(pool, candidates))
 
 
 def published(
@@ -185,10 +206,8 @@ def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
     shifts: list[Array] = []
     camera: list[int] = []
     identity = np.eye(3)
-    for triplet in triplets:
+    for triplet in triplets[~_degenerate(pool.x_mocap[triplets])]:
         x, ideal = pool.x_mocap[triplet], pool.ideal[triplet]
-        if _is_degenerate(x):
-            continue
         _, rvecs, tvecs = cv2.solveP3P(
             x[:, None], ideal[:, None], identity, None, flags=cv2.SOLVEPNP_AP3P
         )
@@ -205,55 +224,74 @@ def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
     return world_R_camera @ r, (world_R_camera @ shifted[:, :, None])[:, :, 0]
 
 
-def _is_degenerate(x: Array) -> bool:
-    """Whether three points nearly lie on one line: their P3P has a family of solutions."""
-    u, v = x[1] - x[0], x[2] - x[0]
-    ux, uy, uz = u
-    vx, vy, vz = v
-    area2 = (uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2
-    longest2 = max(u @ u, v @ v, (v - u) @ (v - u))
-    return bool(area2 < 1e-4 * longest2**2)
+def rival_ratio(pool: Pool, candidates: Sequence[Candidate]) -> float:
+    """Compare the two best minima where either explains the data.
+
+    Returns:
+        Squared error of the second over that of the first, each residual cut at three sigma of
+        the first's noise; infinite without a second.
+
+    """
+    if len(candidates) < 2:
+        return np.inf
+    limit = candidates[0].noise.threshold_px ** 2
+    poses = [c.world_T_mocap for c in candidates[:2]]
+    squared = pool.squared_residuals(
+        np.stack([p.rotation for p in poses]), np.stack([p.translation for p in poses])
+    )
+    explained = np.minimum(squared, limit)[:, (squared < limit).any(0)].sum(1)
+    return float(explained[1] / max(explained[0], 1e-12))
 
 
-def _best_distinct(pool: Pool, coarse: Pool, rotation: Array, translation: Array) -> list[int]:
-    """Return indices of the best hypotheses that are not near a better one."""
-    if not len(rotation):
-        return []
-    first = _rank(coarse, rotation, translation)
-    kept = np.argsort(first, kind='stable')[:KEPT]
-    score = _rank(pool, rotation[kept], translation[kept])
-    order = kept[np.argsort(score, kind='stable')][: int((score < score.min() + WITHIN).sum())]
-    centre = pool.centroid_mocap
-    chosen: list[int] = []
-    for h in order:
-        if len(chosen) == POLISHED:
-            break
-        here = rotation[h] @ centre + translation[h]
-        if not any(
-            np.linalg.norm(rotation[k] @ centre + translation[k] - here) < SAME_DISTANCE
-            and rotation_angle(rotation[k].T @ rotation[h]) < SAME_ANGLE
-            for k in chosen
-        ):
-            chosen.append(int(h))
-    return chosen
+def _degenerate(x: Array) -> BoolArray:
+    """Whether three points (n, 3, 3) nearly lie on a line: P3P has a family of solutions then."""
+    u, v = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+    area2 = (np.cross(u, v) ** 2).sum(-1)
+    longest2 = np.maximum.reduce([(side**2).sum(-1) for side in (u, v, v - u)])
+    out: BoolArray = area2 < 1e-4 * longest2**2
+    return out
 
 
-def _rank(pool: Pool, rotation: Array, translation: Array) -> Array:
-    """Score hypotheses, lower is better: (H,) mean log residual between SOFT_PX and CAP_PX."""
-    squared = np.minimum(pool.squared_residuals(rotation, translation), CAP_PX**2)
-    score: Array = np.log(squared + SOFT_PX**2).mean(1)
-    return score
+def _rank(pool: Pool, rotation: Array, translation: Array) -> _Ranked:
+    """Score hypotheses by their mean log residual between SOFT and CAP; lower is better."""
+    squared = pool.squared_residuals(rotation, translation) / pool.focal_px**2
+    score = np.log(np.minimum(squared, CAP**2) + SOFT**2).mean(1)
+    order = np.argsort(score, kind='stable')
+    return _Ranked(rotation[order], translation[order], score[order])
 
 
-def _distinct(found: list[Candidate], centroid_mocap: Array) -> list[Candidate]:
-    """Return the candidates by cost, without those that are the same minimum as a better one."""
-    kept: list[Candidate] = []
-    for c in sorted(found, key=lambda one: one.cost):
-        for k in kept:
-            apart = c.world_T_mocap @ centroid_mocap - k.world_T_mocap @ centroid_mocap
-            turn = k.world_T_mocap.rotation.T @ c.world_T_mocap.rotation
-            if np.linalg.norm(apart) < SAME_DISTANCE and rotation_angle(turn) < SAME_ANGLE:
-                break
-        else:
-            kept.append(c)
-    return kept
+def _merge(kept: _Ranked, new: _Ranked) -> _Ranked:
+    """Keep the best KEPT of both."""
+    order = np.argsort(np.concatenate([kept.score, new.score]), kind='stable')[:KEPT]
+    pairs = zip(kept, new, strict=True)
+    return _Ranked(*(np.concatenate(pair)[order] for pair in pairs))
+
+
+def _explained(pool: Pool, kept: _Ranked) -> float:
+    """Share of the pool that the best hypothesis explains as it is."""
+    squared = pool.squared_residuals(kept.rotation[:1], kept.translation[:1])
+    return float((squared < (EXPLAINED * pool.focal_px) ** 2).mean())
+
+
+def _polish_best(pool: Pool, kept: _Ranked) -> list[Candidate]:
+    """Polish the best hypotheses that are no neighbours; return distinct minima, best first."""
+    ranked = _rank(pool, kept.rotation, kept.translation)
+    starts: list[RigidTransform] = []
+    for r, t in zip(*ranked[:2], strict=True):
+        pose = RigidTransform(nearest_rotation(r), t)
+        if not any(_is_same(pose, other, pool.centroid_mocap) for other in starts):
+            starts.append(pose)
+    close = int((ranked.score < ranked.score[0] + WITHIN).sum())
+    polished = [polish(pool, pose) for pose in starts[: min(POLISHED, close)]]
+    minima: list[Candidate] = []
+    for c in sorted(polished, key=lambda one: (not one.is_sharp, one.cost)):
+        poses = [m.world_T_mocap for m in minima]
+        if not any(_is_same(c.world_T_mocap, pose, pool.centroid_mocap) for pose in poses):
+            minima.append(c)
+    return minima
+
+
+def _is_same(a: RigidTransform, b: RigidTransform, centroid_mocap: Array) -> bool:
+    """Whether two poses are one minimum."""
+    apart = float(np.linalg.norm(a @ centroid_mocap - b @ centroid_mocap))
+    return apart < SAME_DISTANCE and rotation_angle(a.rotation.T @ b.rotation) < SAME_ANGLE
