@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 GOOD_RATIO = 0.6  # share of inliers above which nothing needs explaining
 MIN_COST_RATIO = 1.25  # squared error of the second minimum over the first, to tell them apart
-SWAP_FRAMES = 40  # per camera
+SWAP_FRAMES = 20  # per camera
 LOST, FOUND = 0.15, 0.5  # a swapped joint agrees with itself less often, with its twin more often
 MIN_SWAPPED_PAIRS = 2  # one pair alone may be a mistake in the joint map
 MIRROR_GAIN = 4.0  # in squared error, of the mirrored skeleton over the given one

@@ -40,7 +40,7 @@ POOL_POINTS_PER_CAMERA = 128  # at least: a camera of a large rig must still sho
 COARSE_POINTS = 256  # first ranking; of those ranked, KEPT go on to the whole pool
 KEPT = 24
 POLISHED = 4  # the best by score, different from each other
-WITHIN = 2.0 * np.log(4.0)  # of the best score: others have 4 x its residuals and need no polish
+WITHIN = 2.0 * np.log(2.0)  # of the best score: others have twice its residuals, no rivals
 BATCH = 64
 CLEAN_TRIPLETS = 8.0  # expected number of all-inlier triplets at the end: exp(-8) to have none
 # By focal length, so that they mean an angle: residuals below the first rank alike (a pose made of
@@ -276,17 +276,18 @@ def _explained(pool: Pool, kept: _Ranked) -> float:
 def _polish_best(pool: Pool, kept: _Ranked) -> list[Candidate]:
     """Polish the best hypotheses that are no neighbours; return distinct minima, best first."""
     ranked = _rank(pool, kept.rotation, kept.translation)
-    starts: list[RigidTransform] = []
-    for r, t in zip(*ranked[:2], strict=True):
-        pose = RigidTransform(nearest_rotation(r), t)
-        if not any(_is_same(pose, other, pool.centroid_mocap) for other in starts):
-            starts.append(pose)
     close = int((ranked.score < ranked.score[0] + WITHIN).sum())
-    polished = [polish(pool, pose) for pose in starts[: min(POLISHED, close)]]
+    centroid = pool.centroid_mocap
+    starts: list[RigidTransform] = []
+    for r, t in zip(ranked.rotation[:close], ranked.translation[:close], strict=True):
+        pose = RigidTransform(nearest_rotation(r), t)
+        if len(starts) < POLISHED and not any(_is_same(pose, s, centroid) for s in starts):
+            starts.append(pose)
+    polished = [polish(pool, pose) for pose in starts]
     minima: list[Candidate] = []
     for c in sorted(polished, key=lambda one: (not one.is_sharp, one.cost)):
         poses = [m.world_T_mocap for m in minima]
-        if not any(_is_same(c.world_T_mocap, pose, pool.centroid_mocap) for pose in poses):
+        if not any(_is_same(c.world_T_mocap, pose, centroid) for pose in poses):
             minima.append(c)
     return minima
 
