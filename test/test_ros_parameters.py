@@ -11,13 +11,14 @@ import yaml
 
 from rpgd_ros.core.config import CalibrationConfig
 from rpgd_ros.core.errors import InputError, Reason
-from rpgd_ros.ros.parameters import NodeConfig, parameters, read_config
+from rpgd_ros.ros.parameters import parameters, read_config
 from rpgd_ros.ros.parameters_text import (
     EXAMPLE_CAMERA,
     calibrator_yaml,
     markdown_table,
     paper_yaml,
 )
+from rpgd_ros.ros.settings import NodeConfig
 
 CONFIG = Path(__file__).parent.parent / 'config'
 CAMERAS = ('cam0', 'cam1')

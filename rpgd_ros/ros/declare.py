@@ -16,8 +16,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from rpgd_ros.core.errors import InputError
-from rpgd_ros.ros.parameters import NodeConfig, Parameter, Value, parameters, read_config
+from rpgd_ros.ros.parameters import Parameter, Value, parameters, read_config
 from rpgd_ros.ros.parameters_text import meaning
+from rpgd_ros.ros.settings import NodeConfig
 
 INT64_MAX = 2**63 - 1
 DOUBLE_MAX = 1.7976931348623157e308

@@ -8,7 +8,8 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rpgd_ros.ros.parameters import NodeConfig, Parameter, Value, parameters
+from rpgd_ros.ros.parameters import Parameter, Value, parameters
+from rpgd_ros.ros.settings import NodeConfig
 
 EXAMPLE_CAMERA = 'cam0'
 WIDTH = 99

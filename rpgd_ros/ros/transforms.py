@@ -42,7 +42,7 @@ class Published:
         mocap_frame: Child frame.
         world_T_mocap: Pose of the MoCap origin in the world.
         covariance: (6, 6) of (d_rot [rad], d_t [m]), world frame.
-        stamp_ns: When it was found.
+        stamp_ns: When it was published, by the clock of the node.
 
     """
 

@@ -48,7 +48,7 @@ class Worker:
         """Tell a job whether it should end early."""
         return self._stop.is_set()
 
-    def start(self, job: Callable[[], object], executor: Executor) -> Future:
+    def start(self, job: Callable[[], object], executor: Executor | None) -> Future:
         """Run a job in a thread of its own.
 
         Args:
@@ -63,7 +63,8 @@ class Worker:
 
         def work() -> None:
             future.set_result(attempt(job))
-            executor.wake()
+            if executor is not None:
+                executor.wake()
 
         self._thread = threading.Thread(target=work, name='solver', daemon=True)
         self._thread.start()

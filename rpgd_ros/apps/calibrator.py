@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live node as a program."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from rpgd_ros.core.errors import InputError
+from rpgd_ros.ros.signals import StopFlag
+
+DESCRIPTION = """\
+Calibrates a MoCap system against cameras while a person walks through the room, and publishes the
+transform. What it listens to stands in a rig file; everything else has a default.
+
+  ros2 run rpgd_ros calibrator --ros-args -p rig_file:=rig.yaml
+  ros2 service call /rpgd_calibrator/calibrate std_srvs/srv/Trigger
+  ros2 topic echo --once /rpgd_calibrator/transform
+"""
+EPILOG = """\
+parameters: -p <name>:=<value>, or --params-file with a copy of config/calibrator.yaml, which holds
+every one of them with its default, range and meaning; `ros2 param describe` shows the same.
+exit codes: 0 ended by SIGINT or SIGTERM, 2 rig file or parameters that cannot be used.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node until a signal ends it.
+
+    Returns:
+        0 after a signal, 2 where rig file or parameters cannot be used.
+
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    parser = argparse.ArgumentParser(
+        prog='calibrator',
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        usage='%(prog)s [-h] [--ros-args ...]',
+    )
+    parser.parse_args(without_ros(arguments))
+    stop = StopFlag()  # before the imports that take time: a signal meanwhile is not lost
+    try:
+        from rpgd_ros.ros.process import run_node  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        print(
+            f'calibrator: {error.name} is not installed: source /opt/ros/jazzy/setup.bash, '
+            'or pip install rpgd_ros[ros]; calibrate_bag needs no ROS',
+            file=sys.stderr,
+        )
+        return 2
+    try:
+        run_node([parser.prog, *arguments], stop)
+    except InputError as error:
+        print(f'calibrator: {error.message}', file=sys.stderr)
+        return 2
+    return 0
+
+
+def without_ros(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments outside of `--ros-args ... [--]`."""
+    own: list[str] = []
+    is_ros = False
+    for argument in arguments:
+        if argument == '--ros-args':
+            is_ros = True
+        elif is_ros:
+            is_ros = argument != '--'
+        else:
+            own.append(argument)
+    return own
+
+
+if __name__ == '__main__':
+    sys.exit(main())

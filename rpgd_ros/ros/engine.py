@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs jobs on a session, one at a time, and publishes what comes out of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import TypeVar
+
+from rclpy.node import Node
+
+from rpgd_ros.core.errors import RpgdError
+from rpgd_ros.ros.health import in_short
+from rpgd_ros.ros.job import BUSY, STOPPING, Outcome, answer, run
+from rpgd_ros.ros.results import Results
+from rpgd_ros.ros.worker import Worker, attempt
+from rpgd_ros.session import Session, Snapshot
+
+T = TypeVar('T')
+
+LOG_SECONDS = 5.0  # between two log lines of one kind
+
+
+class Engine:
+    """The calibrating part of the node. Everything but the jobs runs in the executor's thread.
+
+    Attributes:
+        session: Where the messages went.
+        results: What is published.
+        last: How the last run ended, None before the first.
+        is_busy: Whether a job is running.
+        running: What it does.
+
+    """
+
+    def __init__(
+        self, node: Node, session: Session, results: Results, *, flush: Callable[[], None]
+    ) -> None:
+        """Start idle.
+
+        Args:
+            node: The node; its executor is where jobs are awaited.
+            session: Where the messages go.
+            results: Publishes and keeps poses.
+            flush: Hands on to the session what has arrived.
+
+        """
+        self.session = session
+        self.results = results
+        self.last: Outcome | None = None
+        self.is_busy = False
+        self.running = ''
+        self._node = node
+        self._flush = flush
+        self._worker = Worker()
+
+    async def calibrate(self) -> Outcome:
+        """Take a snapshot, solve and save in the worker, publish; refused while a job runs."""
+        if self.is_busy or self._worker.should_stop():
+            return BUSY if self.is_busy else STOPPING
+        snapshot = attempt(self._snapshot)
+        if isinstance(snapshot, Exception):
+            outcome = self._refusal(snapshot)
+        else:
+            frames = self.results.frames(self.session.mocap_frame)
+            job = partial(
+                run,
+                snapshot,
+                frames,
+                self.results.pose,
+                save=partial(self.results.write, frames, self._worker),
+                progress=self._on_progress,
+                should_stop=self._worker.should_stop,
+            )
+            ended = await self._in_worker(job)
+            outcome = self._refusal(ended) if isinstance(ended, Exception) else ended
+        self._conclude(outcome)
+        return outcome
+
+    async def save(self) -> tuple[bool, str]:
+        """Write the newest accepted calibration again.
+
+        Returns:
+            Whether it was written, and what to answer.
+
+        """
+        if self.is_busy:
+            return False, answer(BUSY)
+        ended = await self._in_worker(partial(self.results.write_again, self._worker))
+        return self._told(ended, f'saved to {self.results.path}')
+
+    def load(self) -> tuple[bool, str]:
+        """Publish what the result file holds.
+
+        Returns:
+            Whether that could be done, and what to answer.
+
+        """
+        return self._told(attempt(self.results.load), f'published from {self.results.path}')
+
+    def guarded(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """Keep the node alive whatever a callback raises: log it and go on."""
+
+        def call() -> None:
+            raised = attempt(callback)
+            if isinstance(raised, Exception):
+                self._refusal(raised)
+
+        return call
+
+    def request_stop(self) -> None:
+        """Ask a running job to end; no other one is begun."""
+        self._worker.request_stop()
+
+    def join(self) -> None:
+        """Wait for a file that is being written."""
+        self._worker.join()
+
+    async def _in_worker(self, job: Callable[[], T]) -> T | Exception:
+        self.is_busy = True
+        ended: T | Exception = await self._worker.start(job, self._node.executor)
+        self.is_busy, self.running = False, ''
+        return ended
+
+    def _snapshot(self) -> Snapshot:
+        self._flush()
+        return self.session.snapshot()
+
+    def _on_progress(self, stage: str, fraction: float) -> None:
+        self.running = f'{stage} {fraction:.0%}'
+
+    def _told(self, ended: object, done: str) -> tuple[bool, str]:
+        if isinstance(ended, Exception):
+            return False, answer(self._refusal(ended))
+        return True, done
+
+    def _refusal(self, error: Exception) -> Outcome:
+        """Return what is to be said of an exception; log those that nobody foresaw."""
+        if isinstance(error, RpgdError):
+            return Outcome(error.reason, error.message)
+        message = f'internal error, please report it: {type(error).__name__}: {error}'
+        self._node.get_logger().error(message, throttle_duration_sec=LOG_SECONDS)
+        return Outcome('internal_error', message)
+
+    def _conclude(self, outcome: Outcome) -> None:
+        before, self.last = self.last, outcome
+        log = self._node.get_logger()
+        if outcome.calibration is not None:
+            self.results.accept(outcome.calibration, outcome.frames)
+            message = f'calibrated: {in_short(outcome.calibration)}'
+            log.info(message)
+            if outcome.message:
+                log.error(outcome.message)
+        elif before is None or before.reason != outcome.reason:
+            message = f'not calibrated ({outcome.reason}): {outcome.message}'
+            log.warning(message)
+        if not math.isnan(outcome.recent_px):
+            self.results.publish_error(outcome.recent_px)

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node says of itself: /diagnostics for programs, one sentence for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from rpgd_ros.core.result import Calibration
+from rpgd_ros.pairing import PairCounts
+from rpgd_ros.ros.inputs import Health
+from rpgd_ros.ros.job import Outcome, figures
+from rpgd_ros.session import MOCAP, Session
+
+OK = DiagnosticStatus.OK
+WARN = DiagnosticStatus.WARN
+ERROR = DiagnosticStatus.ERROR
+
+PREFIX = 'rpgd_calibrator: '
+
+
+def status(
+    name: str, level: bytes, message: str, values: Mapping[str, object]
+) -> DiagnosticStatus:
+    """Return one entry of /diagnostics.
+
+    Args:
+        name: What is spoken of; `PREFIX` goes before it.
+        level: OK, WARN or ERROR.
+        message: Sentence.
+        values: Figures by key.
+
+    """
+    return DiagnosticStatus(
+        name=PREFIX + name,
+        hardware_id='rpgd_calibrator',
+        level=level,
+        message=message,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+
+
+def input_statuses(session: Session, inputs: Mapping[str, Health]) -> list[DiagnosticStatus]:
+    """Return the entries of the MoCap system and of every camera.
+
+    Args:
+        session: Where the messages went.
+        inputs: State of each subscription by stream.
+
+    """
+    pairs = session.pair_counts()
+    return [
+        _input_status(name, health, session.counts(name), pairs.get(name))
+        for name, health in inputs.items()
+    ]
+
+
+def _input_status(
+    name: str, health: Health, counts: Mapping[str, int], pairs: PairCounts | None
+) -> DiagnosticStatus:
+    values: dict[str, object] = {
+        'received': health.n_received,
+        'rate_hz': health.rate_hz,
+        'last_stamp_age_s': health.age_s,
+        'msg_type': health.msg_type,
+        'qos': health.qos,
+        **{key: n for key, n in counts.items() if key != 'received'},
+    }
+    if pairs is not None:
+        values |= {'pairs': pairs.paired, 'no_match': pairs.no_match}
+    level, message = OK, 'receiving'
+    if health.problem:
+        # What nobody sends may still come; what cannot be read will not get better by waiting.
+        level, message = (ERROR if health.is_hopeless else WARN), health.problem
+    elif health.n_received and not counts['kept']:
+        level, message = WARN, 'messages arrive, but none could be used'
+    return status(name if name == MOCAP else f'camera {name}', level, message, values)
+
+
+def calibration_status(
+    last: Outcome | None, accepted: Calibration | None, *, age_s: float
+) -> DiagnosticStatus:
+    """Return the entry of the calibration.
+
+    Args:
+        last: How the last run ended, None before the first.
+        accepted: The newest accepted calibration of this process, if any.
+        age_s: Time since the published pose was found, NaN where none is published.
+
+    """
+    values: dict[str, object] = {
+        'last_result': 'none yet' if last is None else str(last.reason),
+        'solve_ms': math.nan if last is None else last.seconds * 1e3,
+        'age_s': age_s,
+        'recent_px': math.nan if last is None else last.recent_px,
+    }
+    if accepted is not None:
+        values |= figures(accepted)
+    level, message = _verdict(last, is_published=not math.isnan(age_s))
+    return status('calibration', level, message, values)
+
+
+def _verdict(last: Outcome | None, *, is_published: bool) -> tuple[bytes, str]:
+    if not is_published:
+        return ERROR, 'no calibration yet' if last is None else f'no calibration: {last.message}'
+    if last is None:
+        return OK, 'published from the result file'
+    if last.calibration is None:
+        return WARN, f'the published pose stays, the last run was refused: {last.message}'
+    complaints = ' '.join(filter(None, [last.message, *last.calibration.warnings]))
+    return (WARN, complaints) if complaints else (OK, 'calibrated')
+
+
+def sentence(
+    inputs: Sequence[Health],
+    last: Outcome | None,
+    *,
+    running: str,
+    motion_m: float,
+    needed_motion_m: float,
+    age_s: float,
+) -> str:
+    """Say to the person in the room what is missing and what to do.
+
+    Args:
+        inputs: State of each subscription.
+        last: How the last run ended, None before the first.
+        running: What a running solve does, '' without one.
+        motion_m: How far the body has moved, metres.
+        needed_motion_m: How far it must before an automatic run, metres.
+        age_s: Time since the published pose was found, NaN where none is published.
+
+    """
+    published = '' if math.isnan(age_s) else f' The transform of {age_s:.0f} s ago is published.'
+    problems = [health.problem for health in inputs if health.problem]
+    if running:
+        return f'Calibrating: {running}.'
+    if last is not None and last.calibration is not None:
+        return f'Calibrated {age_s:.0f} s ago: {in_short(last.calibration)}.'
+    if problems:
+        return f'Waiting: {"; ".join(problems)}.{published}'
+    if last is not None:
+        return f'Not calibrated: {last.message}.{published}'
+    if motion_m < needed_motion_m:
+        return (
+            f'Walk through the room: moved {motion_m:.1f} m, need {needed_motion_m:.1f} m.'
+            f'{published}'
+        )
+    return f'Data are coming in: call ~/calibrate, or wait for the next run.{published}'
+
+
+def in_short(calibration: Calibration) -> str:
+    """Return the figures of a calibration that a person wants to hear."""
+    return (
+        f'{calibration.median_px:.1f} px (median), uncertain by '
+        f'{calibration.sigma_rotation_deg:.2f} deg and {calibration.sigma_position_m * 1e3:.0f} mm'
+    )
+
+
+def _text(value: object) -> str:
+    return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One calibration as the worker runs it, and what the node answers about it. Needs no ROS."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rpgd_ros.core.errors import CalibrationError, Reason, RpgdError
+from rpgd_ros.core.geometry import RigidTransform
+from rpgd_ros.core.result import Calibration
+from rpgd_ros.session import Snapshot, solve
+
+ACCEPTED = 'accepted'
+RECENT_NS = 10_000_000_000  # of the error that is published to make drift visible
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """How one run ended.
+
+    Attributes:
+        reason: `ACCEPTED`, or the code of the refusal.
+        message: What was found, needed, and what to do; of an accepted run, why it could not be
+            saved, or ''.
+        frames: World and MoCap frame of an accepted run.
+        seconds: Duration.
+        calibration: The accepted calibration, or None.
+        recent_px: Mean error of the pose that is published now over the newest data, pixels; NaN
+            without one.
+
+    """
+
+    reason: str
+    message: str
+    frames: tuple[str, str] = ('', '')
+    seconds: float = math.nan
+    calibration: Calibration | None = None
+    recent_px: float = math.nan
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether there is a calibration."""
+        return self.reason == ACCEPTED
+
+
+BUSY = Outcome(Reason.BUSY, 'busy: a calibration is running; its result is published')
+STOPPING = Outcome(Reason.CANCELLED, 'the node is shutting down')
+
+
+def run(
+    snapshot: Snapshot,
+    frames: tuple[str, str],
+    published: RigidTransform | None,
+    *,
+    save: Callable[[Calibration], None],
+    progress: Callable[[str, float], None],
+    should_stop: Callable[[], bool],
+) -> Outcome:
+    """Solve, save what was accepted, and measure the pose that is published afterwards.
+
+    Args:
+        snapshot: Data and settings.
+        frames: World and MoCap frame.
+        published: The pose that stands on the topics now, if any.
+        save: Writes the result file.
+        progress: Told the stage and its fraction done.
+        should_stop: Asked whether to end early.
+
+    """
+    start = time.monotonic()
+    calibration: Calibration | None = None
+    reason, message = ACCEPTED, ''
+    try:
+        calibration = solve(snapshot, progress=progress, should_stop=should_stop)
+        if should_stop():
+            return STOPPING
+        save(calibration)
+    except CalibrationError as error:
+        reason, message = error.reason, error.message
+    except RpgdError as error:
+        if calibration is None:
+            reason, message = error.reason, error.message
+        else:
+            message = f'the result could not be saved: {error.message}'
+    pose = calibration.world_T_mocap if calibration is not None else published
+    recent = math.nan if pose is None else recent_error_px(snapshot, pose)
+    return Outcome(reason, message, frames, time.monotonic() - start, calibration, recent)
+
+
+def recent_error_px(snapshot: Snapshot, world_T_mocap: RigidTransform) -> float:
+    """Return the mean residual of a pose (eq. 7) over the newest data, pixels; NaN without any."""
+    total, count = 0.0, 0
+    for camera, view in zip(snapshot.cameras, snapshot.observations.views, strict=True):
+        if view.stamp_ns is None or not len(view.stamp_ns):
+            continue
+        recent = view.stamp_ns > view.stamp_ns[-1] - RECENT_NS
+        x, uv = view.x_mocap[recent], view.uv[recent]
+        error = np.linalg.norm(camera.project(world_T_mocap @ x) - uv, axis=-1)
+        seen = np.isfinite(error)
+        total += float(error[seen].sum())
+        count += int(seen.sum())
+    return total / count if count else math.nan
+
+
+def answer(outcome: Outcome) -> str:
+    """Return the one line of JSON that `~/calibrate` answers.
+
+    Floats keep all their digits: the line holds the very transform that is published.
+    """
+    if outcome.calibration is None:
+        return _json({'reason': str(outcome.reason), 'message': outcome.message})
+    c = outcome.calibration
+    return _json(
+        {
+            'reason': ACCEPTED,
+            'message': outcome.message,
+            'world_frame': outcome.frames[0],
+            'mocap_frame': outcome.frames[1],
+            'xyz': c.world_T_mocap.translation.tolist(),
+            'quat_xyzw': c.world_T_mocap.quat_xyzw.tolist(),
+            **figures(c),
+            'seconds': outcome.seconds,
+            'cameras': {
+                name: {
+                    'mpjpe_px': fit.mpjpe_px,
+                    'inliers': int(fit.inliers),
+                    'correspondences': int(fit.correspondences),
+                }
+                for name, fit in c.per_camera.items()
+            },
+            'warnings': list(c.warnings),
+        }
+    )
+
+
+def figures(calibration: Calibration) -> dict[str, object]:
+    """Return the figures of an accepted calibration by diagnostic key."""
+    values: dict[str, object] = {
+        'mpjpe_px': float(calibration.mpjpe_px),
+        'median_px': float(calibration.median_px),
+        'p95_px': float(calibration.p95_px),
+        'inliers': int(calibration.inliers),
+        'correspondences': int(calibration.correspondences),
+        'inlier_ratio': float(calibration.inlier_ratio),
+        'frames': int(calibration.frames),
+        'sigma_rotation_deg': calibration.sigma_rotation_deg,
+        'sigma_position_m': calibration.sigma_position_m,
+    }
+    for camera, (offset_s, _) in calibration.time_offset_s.items():
+        values[f'time_offset_ms {camera}'] = float(offset_s) * 1e3
+    return values
+
+
+def _json(values: Mapping[str, object]) -> str:
+    return json.dumps(_without_nan(values), allow_nan=False)
+
+
+def _without_nan(value: object) -> object:
+    # JSON has no NaN: readers other than Python's would stumble over it.
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(key): _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(item) for item in value]
+    return value

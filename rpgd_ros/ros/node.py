@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live node: a thin shell around `rpgd_ros.session`.
+
+All callbacks run in one thread, because the multi-threaded executor of Jazzy's rclpy loses data;
+the solve and the writing of files run in one worker thread, on a snapshot of data and settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.timer import Timer
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from rpgd_ros.core.errors import InputError
+from rpgd_ros.io.rig import Rig
+from rpgd_ros.ros import health
+from rpgd_ros.ros.declare import LiveParameters, declare, given_values
+from rpgd_ros.ros.engine import LOG_SECONDS, Engine
+from rpgd_ros.ros.inputs import InfoInput, JointInput
+from rpgd_ros.ros.job import answer
+from rpgd_ros.ros.results import Results
+from rpgd_ros.ros.settings import NodeConfig
+from rpgd_ros.ros.setup import read_setup
+from rpgd_ros.ros.transforms import LATCHED, TransformOutput
+from rpgd_ros.session import MOCAP, Session
+
+NODE_NAME = 'rpgd_calibrator'
+POLL_SECONDS = 0.1  # a publisher is found and a signal heeded within it
+
+
+class CalibratorNode(Node):
+    """Calibrates from the topics of a rig file and publishes the transform."""
+
+    def __init__(self, name: str = NODE_NAME) -> None:
+        """Read rig file and parameters, publish a kept result, subscribe.
+
+        Raises:
+            InputError: Rig file or parameters that cannot be used.
+
+        """
+        super().__init__(name)
+        rig, config = read_setup(given_values(self))
+        cameras = tuple(config.cameras)
+        declare(self, config, cameras)
+        self._mocap_offset_s = rig.mocap.time_offset_s
+        self._is_enabled = True
+        self._n_at_last_run = 0
+        output = TransformOutput(self, with_tf=config.node.tf_mode == 'static')
+        results = Results(self, output, rig.world_frame, config.node.result_file)
+        session = Session(rig, config.session())
+        self._engine = Engine(self, session, results, flush=self._flush)
+        if config.node.load_on_start:
+            results.load_at_start()
+        self._joints, self._infos = self._open_inputs(rig)
+        self._status = self.create_publisher(String, '~/status', LATCHED)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._open_services()
+        self._auto_timer = self._open_timers(config)
+        self._live = LiveParameters(self, config, cameras, on_change=self._on_config)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a job is running."""
+        return self._engine.is_busy
+
+    def request_stop(self) -> None:
+        """Ask a running job to end; no other one is begun."""
+        self._engine.request_stop()
+
+    def join(self) -> None:
+        """Wait for a file that is being written."""
+        self._engine.join()
+
+    def _open_inputs(self, rig: Rig) -> tuple[list[JointInput], list[InfoInput]]:
+        joints = [JointInput(self, MOCAP, rig.mocap.topic, rig.mocap.type, self._on_joints)]
+        joints += [
+            JointInput(self, c.name, c.keypoints_topic, c.type, self._on_joints)
+            for c in rig.cameras
+        ]
+        infos = [
+            InfoInput(self, camera, topic, self._on_info)
+            for topic, camera in self._engine.session.camera_info_topics().items()
+        ]
+        return joints, infos
+
+    def _open_services(self) -> None:
+        # Reentrant, for a second caller to hear 'busy' at once instead of waiting its turn.
+        group = ReentrantCallbackGroup()
+        self.create_service(Trigger, '~/calibrate', self._on_calibrate, callback_group=group)
+        self.create_service(Trigger, '~/save', self._on_save, callback_group=group)
+        self.create_service(Trigger, '~/load', self._on_load)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(SetBool, '~/set_enabled', self._on_set_enabled)
+
+    def _open_timers(self, config: NodeConfig) -> Timer:
+        # Of the steady clock: the node has to stay awake where a simulation stands still.
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        guarded = self._engine.guarded
+        self.create_timer(POLL_SECONDS, guarded(self._on_poll), clock=clock)
+        period_s = config.node.diagnostics_period
+        self.create_timer(period_s, guarded(self._on_diagnostics), clock=clock)
+        return self.create_timer(
+            config.auto.period_s,
+            self._on_auto,
+            callback_group=MutuallyExclusiveCallbackGroup(),
+            clock=clock,
+        )
+
+    def _on_config(self, config: NodeConfig) -> None:
+        session = self._engine.session
+        session.update_config(config.session())
+        # The session counts a camera's offset against the MoCap's of its start.
+        late_s = config.mocap.time_offset - self._mocap_offset_s
+        for name, camera in config.cameras.items():
+            if name in session.streams:
+                session.update_camera(
+                    name,
+                    time_offset_s=camera.time_offset - late_s,
+                    min_confidence=camera.min_confidence,
+                )
+        self._auto_timer.timer_period_ns = int(config.auto.period_s * 1e9)
+
+    def _on_poll(self) -> None:
+        for joints in self._joints:
+            joints.poll()
+        self._flush()
+
+    def _flush(self) -> None:
+        for info in self._infos:
+            info.flush()
+        for joints in self._joints:
+            joints.flush()
+
+    def _on_joints(
+        self, stream: str, msg_type: str, payloads: Sequence[bytes], receive_ns: Sequence[int]
+    ) -> None:
+        if self._is_enabled:
+            self._engine.session.add(stream, msg_type, payloads, receive_ns)
+
+    def _on_info(self, camera: str, payload: bytes) -> None:
+        try:
+            self._engine.session.set_intrinsics(camera, payload)
+        except InputError as error:
+            Node.get_logger(self).warning(error.message, throttle_duration_sec=LOG_SECONDS)
+
+    async def _on_auto(self) -> None:
+        n_received = sum(joints.n_received for joints in self._joints)
+        config = self._live.config
+        if not config.auto.enabled or n_received == self._n_at_last_run or self.is_busy:
+            return
+        self._n_at_last_run = n_received
+        if self._engine.session.motion_m() >= config.buffer.min_motion:
+            await self._engine.calibrate()
+
+    async def _on_calibrate(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        outcome = await self._engine.calibrate()
+        response.success, response.message = outcome.is_accepted, answer(outcome)
+        return response
+
+    async def _on_save(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.success, response.message = await self._engine.save()
+        return response
+
+    def _on_load(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = self._engine.load()
+        return response
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._flush()
+        self._engine.session.reset()
+        response.success = True
+        response.message = 'the buffers are empty; the published transform stays'
+        return response
+
+    def _on_set_enabled(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        self._flush()
+        self._is_enabled = bool(request.data)
+        response.success = True
+        response.message = 'collecting' if self._is_enabled else 'not collecting'
+        return response
+
+    def _on_diagnostics(self) -> None:
+        self._flush()
+        engine = self._engine
+        inputs = {joints.stream: joints.health() for joints in self._joints}
+        age_s = engine.results.age_s
+        array = DiagnosticArray(
+            status=[
+                health.calibration_status(engine.last, engine.results.accepted, age_s=age_s),
+                *health.input_statuses(engine.session, inputs),
+            ]
+        )
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+        sentence = health.sentence(
+            list(inputs.values()),
+            engine.last,
+            running=engine.running,
+            motion_m=engine.session.motion_m(),
+            needed_motion_m=self._live.config.buffer.min_motion,
+            age_s=age_s,
+        )
+        self._status.publish(String(data=sentence))
