@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The result file: the transform, how far to trust it, and how it came about."""
+
+from __future__ import annotations
+
+import math
+import platform
+import shlex
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import yaml
+
+from rpgd_ros import __version__
+from rpgd_ros.core.errors import Reason
+from rpgd_ros.core.geometry import Array, RigidTransform, euler_zyx_from_rotation
+from rpgd_ros.core.result import Calibration, GroupFit
+from rpgd_ros.io.atomic import write_atomic
+from rpgd_ros.io.backups import back_up, backups, utc
+from rpgd_ros.io.strict import Node, read_yaml
+
+__all__ = ['StoredResult', 'backups', 'read_result', 'result_text', 'write_result']
+
+SCHEMA: Final = 1
+AGREEMENT: Final = 1e-6  # between the two spellings of the transform: six decimals survive editing
+CONVENTION: Final = (
+    'x_world = world_T_mocap @ x_mocap: the pose of the MoCap origin in the world, metres, '
+    'right-handed; TF carries it from world_frame (parent) to mocap_frame (child). '
+    'Covariance of (rotation [rad], translation [m]), both along the axes of the world.'
+)
+# Keys that nothing is read from: for people and other programs.
+FOR_PEOPLE: Final = (
+    *('convention', 'found', 'median_px', 'p95_px', 'inliers', 'correspondences', 'frames'),
+    *('threshold_px', 'seconds', 'joints', 'parameters', 'versions', 'for_other_tools'),
+    *('covariance_over_time', 'centroid_mocap'),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredResult:
+    """What a result file says.
+
+    Attributes:
+        world_frame: Parent frame.
+        mocap_frame: Child frame.
+        world_T_mocap: To the last bit of what was written.
+        covariance: (6, 6) of (d_rot [rad], d_t [m]), world frame.
+        stamp_ns: When the transform was found, since 1970.
+        mpjpe_px: Mean residual over all correspondences, pixels.
+        inlier_ratio: Inliers over correspondences.
+        sigma_rotation_deg: Standard deviation of the rotation, degrees.
+        sigma_position_m: Standard deviation of the body's position, metres.
+        camera_mpjpe_px: Mean residual by camera, pixels; NaN where a camera saw nothing.
+        time_offset_s: (offset, sigma) by camera, where estimated, seconds.
+        warnings: Sentences for people.
+
+    """
+
+    world_frame: str
+    mocap_frame: str
+    world_T_mocap: RigidTransform
+    covariance: Array
+    stamp_ns: int
+    mpjpe_px: float
+    inlier_ratio: float
+    sigma_rotation_deg: float
+    sigma_position_m: float
+    camera_mpjpe_px: Mapping[str, float]
+    time_offset_s: Mapping[str, tuple[float, float]]
+    warnings: tuple[str, ...]
+
+
+def write_result(
+    path: Path | str,
+    calibration: Calibration,
+    *,
+    world_frame: str,
+    mocap_frame: str,
+    stamp_ns: int,
+) -> None:
+    """Write an accepted calibration; a file that was there becomes a dated backup beside it.
+
+    Args:
+        path: Result file. The folder must exist.
+        calibration: What was found.
+        world_frame: Parent frame.
+        mocap_frame: Child frame.
+        stamp_ns: When it was found, since 1970.
+
+    Raises:
+        InputError: NOT_WRITABLE. The old file is untouched.
+
+    """
+    path = Path(path)
+    text = result_text(
+        calibration, world_frame=world_frame, mocap_frame=mocap_frame, stamp_ns=stamp_ns
+    )
+    if not path.is_symlink():
+        back_up(path)
+    write_atomic(path, text)
+
+
+def result_text(
+    calibration: Calibration, *, world_frame: str, mocap_frame: str, stamp_ns: int
+) -> str:
+    """Return a calibration as the text of a result file; arguments as `write_result`."""
+    c = calibration
+    pose = c.world_T_mocap
+    tree = {
+        'schema': SCHEMA,
+        'convention': CONVENTION,
+        'world_frame': world_frame,
+        'mocap_frame': mocap_frame,
+        'found': utc(stamp_ns),
+        'stamp_ns': int(stamp_ns),
+        'world_T_mocap': {
+            'xyz': pose.translation.tolist(),
+            'quat_xyzw': pose.quat_xyzw.tolist(),
+            'matrix': pose.matrix.tolist(),
+        },
+        'sigma': {'rotation_deg': c.sigma_rotation_deg, 'position_m': c.sigma_position_m},
+        'covariance': c.covariance.tolist(),
+        'covariance_over_time': c.covariance_over_time.tolist(),
+        'centroid_mocap': c.centroid_mocap.tolist(),
+        **{
+            name: getattr(c, name)
+            for name in (
+                *('mpjpe_px', 'median_px', 'p95_px', 'inlier_ratio', 'inliers'),
+                *('correspondences', 'frames', 'threshold_px', 'seconds'),
+            )
+        },
+        'cameras': {name: _fit(fit) for name, fit in c.per_camera.items()},
+        'joints': {str(name): _fit(fit) for name, fit in c.per_joint.items()},
+        'time_offset_s': {name: list(pair) for name, pair in c.time_offset_s.items()},
+        'warnings': list(c.warnings),
+        'parameters': asdict(c.config),
+        'versions': {
+            'rpgd_ros': __version__,
+            'python': platform.python_version(),
+            'numpy': np.__version__,
+            'opencv': cv2.__version__,
+        },
+        'for_other_tools': for_other_tools(pose, world_frame, mocap_frame),
+    }
+    return yaml.safe_dump(
+        _plain(tree), sort_keys=False, default_flow_style=None, allow_unicode=True, width=99
+    )
+
+
+def for_other_tools(
+    world_T_mocap: RigidTransform, world_frame: str, mocap_frame: str
+) -> dict[str, Any]:
+    """Return the transform as other programs take it, ready to paste."""
+    xyz = world_T_mocap.translation.tolist()
+    # Fixed axes X, Y, Z, as URDF and vicon_receiver have it.
+    rpy = euler_zyx_from_rotation(world_T_mocap.rotation).tolist()
+    numbers = zip(
+        ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'),
+        (*xyz, *world_T_mocap.quat_xyzw.tolist()),
+        strict=True,
+    )
+    options = ' '.join(f'--{name} {value!r}' for name, value in numbers)
+    frames = f'--frame-id {shlex.quote(world_frame)} --child-frame-id {shlex.quote(mocap_frame)}'
+    return {
+        'static_transform_publisher': (
+            f'ros2 run tf2_ros static_transform_publisher {options} {frames}'
+        ),
+        'urdf_origin': (
+            f'<origin xyz="{" ".join(map(repr, xyz))}" rpy="{" ".join(map(repr, rpy))}"/>'
+        ),
+        'vicon_receiver': {'map_xyz': xyz, 'map_rpy': rpy, 'map_rpy_in_degrees': False},
+    }
+
+
+def read_result(path: Path | str) -> StoredResult:
+    """Read a result file.
+
+    Raises:
+        InputError: BAD_RESULT_FILE. The message names file, key, what was found and what is
+            needed.
+
+    """
+    root = read_yaml(path, Reason.BAD_RESULT_FILE)
+    top = root.mapping(
+        (
+            *('schema', 'world_frame', 'mocap_frame', 'stamp_ns', 'world_T_mocap', 'sigma'),
+            *('covariance', 'mpjpe_px', 'inlier_ratio', 'cameras'),
+        ),
+        ('time_offset_s', 'warnings', *FOR_PEOPLE),
+    )
+    if top['schema'].integer(0, 10**6) != SCHEMA:
+        top['schema'].refuse(
+            f'schema {top["schema"].value} is unknown, this version reads {SCHEMA}'
+        )
+    sigma = top['sigma'].mapping(('rotation_deg', 'position_m'))
+    offsets = top['time_offset_s'].items() if 'time_offset_s' in top else ()
+    warnings = top['warnings'].sequence() if 'warnings' in top else []
+    return StoredResult(
+        world_frame=top['world_frame'].text(),
+        mocap_frame=top['mocap_frame'].text(),
+        world_T_mocap=_transform(top['world_T_mocap']),
+        covariance=_covariance(top['covariance']),
+        stamp_ns=top['stamp_ns'].integer(0, 2**63 - 1),
+        mpjpe_px=top['mpjpe_px'].number(0.0),
+        inlier_ratio=top['inlier_ratio'].number(0.0, 1.0),
+        sigma_rotation_deg=sigma['rotation_deg'].number(0.0),
+        sigma_position_m=sigma['position_m'].number(0.0),
+        camera_mpjpe_px={name: _mpjpe(node) for name, node in top['cameras'].items()},
+        time_offset_s={name: _offset(node) for name, node in offsets},
+        warnings=tuple(node.text() for node in warnings),
+    )
+
+
+def _fit(fit: GroupFit) -> dict[str, Any]:
+    return {
+        'mpjpe_px': fit.mpjpe_px,
+        'inlier_mpjpe_px': fit.inlier_mpjpe_px,
+        'inliers': fit.inliers,
+        'correspondences': fit.correspondences,
+        'bias_px': list(fit.bias_px),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return plain Python values; what is not a number becomes null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _transform(node: Node) -> RigidTransform:
+    """Read the matrix, which has all digits, and check it against the other spelling."""
+    entries = node.mapping(('xyz', 'quat_xyzw', 'matrix'))
+    matrix = np.array([row.numbers(4) for row in entries['matrix'].sequence()])
+    if matrix.shape != (4, 4) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        entries['matrix'].refuse('need 4 rows of 4 numbers, the last of them 0, 0, 0, 1')
+    quat_xyzw = entries['quat_xyzw'].numbers(4)
+    try:
+        transform = RigidTransform.from_matrix(matrix)
+        other = RigidTransform.from_quat_xyzw(entries['xyz'].numbers(3), quat_xyzw)
+    except ValueError as error:
+        node.refuse(str(error))
+    apart = float(np.abs(transform.matrix - other.matrix).max())
+    if apart > AGREEMENT:
+        node.refuse(f'xyz and quat_xyzw differ from matrix by {apart:.2g}: change all or none')
+    return transform
+
+
+def _covariance(node: Node) -> Array:
+    rows = [row.numbers(6) for row in node.sequence()]
+    covariance = np.array(rows)
+    if covariance.shape != (6, 6) or not np.allclose(covariance, covariance.T, rtol=1e-6):
+        node.refuse('need 6 rows of 6 numbers, symmetric')
+    if (np.diag(covariance) < 0.0).any():
+        node.refuse('need variances that are not negative on the diagonal')
+    return covariance
+
+
+def _mpjpe(camera: Node) -> float:
+    keys = ('mpjpe_px', 'inlier_mpjpe_px', 'inliers', 'correspondences', 'bias_px')
+    error = camera.mapping(keys)['mpjpe_px']
+    return math.nan if error.value is None else error.number(0.0)
+
+
+def _offset(node: Node) -> tuple[float, float]:
+    offset_s, sigma_s = node.numbers(2)
+    return offset_s, sigma_s
