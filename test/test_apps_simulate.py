@@ -176,8 +176,8 @@ def test_stopped_run_leaves_nothing_behind(
     if forced:
         assert simulate.main([*SHORT, '--output', str(output)]) == 0
     before = {p: p.read_bytes() for p in output.rglob('*') if p.is_file()}
-    command = [sys.executable, '-m', 'rpgd_ros.apps.simulate', '--preset', 'mpi_inf_3dhp']
-    command += ['--seconds', '120', '--output', str(output), *(['--force'] if forced else [])]
+    command = [sys.executable, '-m', 'rpgd_ros.apps.simulate', '--preset', 'studio']
+    command += ['--seconds', '400', '--output', str(output), *(['--force'] if forced else [])]
     project = Path(__file__).parent.parent
     process = subprocess.Popen(command, stderr=subprocess.PIPE, cwd=project)
     deadline = time.monotonic() + 60.0

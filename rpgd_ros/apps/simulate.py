@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 from types import FrameType
 from typing import get_args
 
@@ -45,12 +46,8 @@ exit codes: 0 written, 2 bad input, 130 stopped (nothing is left behind)
 """
 
 
-class _Stopped(BaseException):
-    """A signal: ends the run through every clean-up.
-
-    KeyboardInterrupt is not that: raised inside exec, which the bag's type store uses, it makes
-    Python end by the signal even when caught, with an exit code that is not ours.
-    """
+class _StoppedError(Exception):
+    """A signal came: the run ends through every clean-up."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,12 +55,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     console = Console(stderr=True)
     try:
-        with _stop_on_signals():
-            _run(arguments, console)
+        with _stop_on_signals() as stop:
+            _run(arguments, console, stop)
     except InputError as error:
         print(f'simulate: {error.message}', file=sys.stderr)
         return EXIT_BAD_INPUT
-    except _Stopped:
+    except _StoppedError:
         print('simulate: stopped, nothing was written', file=sys.stderr)
         return EXIT_STOPPED
     output = arguments.output
@@ -100,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(arguments: argparse.Namespace, console: Console) -> None:
+def _run(arguments: argparse.Namespace, console: Console, stop: Event) -> None:
     output: Path = arguments.output
     _check_output(output, is_forced=arguments.force)
     if arguments.seed < 0:
@@ -117,7 +114,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> None:
             lag_s=arguments.lag,
         ),
     )
-    with _scratch_folder(output) as scratch, _bars(console) as progress:
+    with _scratch_folder(output) as scratch, _bars(console, stop) as progress:
         recording = simulate(scene, progress=progress)
         write_recording(
             recording,
@@ -173,34 +170,43 @@ def _put_in_place(scratch: Path, output: Path) -> None:
         if output.exists():
             output.rename(replaced)
         finished.rename(output)
-    except BaseException as error:
+    except OSError as error:
         if replaced.exists() and not output.exists():
-            replaced.rename(output)  # ended between the two: the older one stays
-        if isinstance(error, OSError):
-            msg = f'{output} cannot be written: {error.strerror or error}'
-            raise InputError(Reason.NOT_WRITABLE, msg) from error
-        raise
+            replaced.rename(output)
+        msg = f'{output} cannot be written: {error.strerror or error}'
+        raise InputError(Reason.NOT_WRITABLE, msg) from error
 
 
 @contextmanager
-def _bars(console: Console) -> Iterator[Callable[[str, float], None]]:
-    """Show one bar per stage."""
+def _bars(console: Console, stop: Event) -> Iterator[Callable[[str, float], None]]:
+    """Show one bar per stage, and end the run at the next step after a signal."""
     columns = (TextColumn('{task.description:>8}'), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         tasks: dict[str, TaskID] = {s: progress.add_task(s, total=1.0) for s in STAGES}
-        yield lambda stage, fraction: progress.update(tasks[stage], completed=fraction)
+
+        def tell(stage: str, fraction: float) -> None:
+            if stop.is_set():
+                raise _StoppedError
+            progress.update(tasks[stage], completed=fraction)
+
+        yield tell
 
 
 @contextmanager
-def _stop_on_signals() -> Iterator[None]:
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        for number in before:  # one is enough: a second must not cut the clean-up
-            signal.signal(number, signal.SIG_IGN)
-        raise _Stopped
+def _stop_on_signals() -> Iterator[Event]:
+    """Note SIGINT and SIGTERM in an event.
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    An exception out of the handler would be lost where Python ignores exceptions (destructors),
+    and would cut clean-ups that run at that moment.
+    """
+    stop = Event()
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield stop
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
