@@ -6,14 +6,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from rpgd_ros.core.errors import InputError, Reason
@@ -26,19 +28,7 @@ PLAY_DEPTH = 1000  # messages kept for a subscriber that is behind: 1 s at 1000 
 NS_PER_S = 1_000_000_000
 
 
-class Timed(NamedTuple):
-    """One serialised message of a recording.
-
-    Attributes:
-        topic: Where it goes.
-        stamp_ns: When it was recorded.
-        payload: Its bytes.
-
-    """
-
-    topic: str
-    stamp_ns: int
-    payload: bytes
+Timed = tuple[str, int, bytes]  # topic, time of the recording in ns, serialised message
 
 
 class Peer:
@@ -62,6 +52,7 @@ class Peer:
         self._executor.add_node(self.node)
         self._publishers: dict[str, Publisher] = {}
         self._newest: dict[str, Any] = {}
+        self._clients: dict[str, Client] = {}
 
     def __enter__(self) -> Self:
         """Return the peer."""
@@ -122,6 +113,11 @@ class Peer:
             cls = MESSAGE_CLASSES[msg_type]
             self._publishers[topic] = self.node.create_publisher(cls, topic, qos)
 
+    @property
+    def advertised(self) -> list[str]:
+        """The advertised topics."""
+        return list(self._publishers)
+
     def without_subscriber(self) -> list[str]:
         """Return the advertised topics that nobody listens to."""
         return [
@@ -135,12 +131,12 @@ class Peer:
         messages: Iterable[Timed],
         *,
         rate: float,
-        on_message: Callable[[Timed], None] | None = None,
+        on_message: Callable[[], None] | None = None,
     ) -> dict[str, int]:
         """Publish messages at the distances in time at which they were recorded.
 
         Args:
-            messages: In the order of their stamps.
+            messages: In the order of their times.
             rate: How many times faster than recorded.
             on_message: Called after each.
 
@@ -150,16 +146,16 @@ class Peer:
         """
         sent = dict.fromkeys(self._publishers, 0)
         start_s, start_ns = time.monotonic(), 0
-        for message in messages:
-            start_ns = start_ns or message.stamp_ns
-            due = start_s + (message.stamp_ns - start_ns) / (NS_PER_S * rate)
+        for topic, time_ns, payload in messages:
+            start_ns = start_ns or time_ns
+            due = start_s + (time_ns - start_ns) / (NS_PER_S * rate)
             wait = due - time.monotonic()
             if wait > 0.0:
                 time.sleep(wait)
-            self._publishers[message.topic].publish(message.payload)
-            sent[message.topic] += 1
+            self._publishers[topic].publish(payload)
+            sent[topic] += 1
             if on_message is not None:
-                on_message(message)
+                on_message()
         return sent
 
     def listen(self, topic: str, msg_type: type, *, qos: QoSProfile = LATCHED) -> None:
@@ -197,15 +193,32 @@ class Peer:
             Its answer, or None where none came in time.
 
         """
-        client = self.node.create_client(Trigger, service)
-        try:
-            if not self.wait_until(client.service_is_ready, seconds=seconds):
-                return None
-            future = client.call_async(Trigger.Request())
-            self.wait_until(future.done, seconds=seconds)
-            return future.result() if future.done() else None
-        finally:
-            self.node.destroy_client(client)
+        future = self.begin_call(service, seconds=seconds)
+        if future is None or not self.wait_until(future.done, seconds=seconds):
+            return None
+        return future.result()
+
+    def begin_call(
+        self, service: str, *, seconds: float, srv_type: Any = Trigger, request: Any = None
+    ) -> Future | None:
+        """Call a service without waiting for its answer.
+
+        Args:
+            service: Full name.
+            seconds: Longest wait for the service to appear.
+            srv_type: Type of the service.
+            request: What to send; None = an empty request.
+
+        Returns:
+            A future of the answer, completed while `wait_until` runs; None without the service.
+
+        """
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(srv_type, service)
+        client = self._clients[service]
+        if not self.wait_until(client.service_is_ready, seconds=seconds):
+            return None
+        return client.call_async(srv_type.Request() if request is None else request)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         self._newest.update({status.name: status for status in array.status})

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The real node as a process of its own, and a peer that plays to it over DDS."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from harness import Child, free_domain, ros_environment, running
+from ros_scene import Scene
+
+from rpgd_ros.ros.player import Peer, Timed
+
+NODE = '/rpgd_calibrator'
+CALIBRATOR = ['-m', 'rpgd_ros.apps.calibrator']
+WAIT_S = 20.0  # of a machine that does other things too
+
+
+@dataclass(frozen=True)
+class Live:
+    """A running node and its peer."""
+
+    child: Child
+    peer: Peer
+
+    def wait_until(self, what: str, condition: Any, *, seconds: float = WAIT_S) -> None:
+        """Wait for a condition; fail with what was waited for and what the node said."""
+        assert self.peer.wait_until(condition, seconds=seconds), f'{what}:\n{self.child.output}'
+
+    def play(self, scene: Scene, *, rate: float = 8.0, is_reliable: bool = True) -> dict[str, int]:
+        """Play a scene and return how many messages of each topic were sent."""
+        self.advertise(scene.topics, is_reliable=is_reliable)
+        return self.send(scene.messages, rate=rate)
+
+    def advertise(self, topics: Mapping[str, str], *, is_reliable: bool = True) -> None:
+        """Open publishers and wait until the node listens to each."""
+        self.peer.advertise(topics, is_reliable=is_reliable)
+        self.wait_until('no subscriber', lambda: not self.peer.without_subscriber())
+
+    def send(self, messages: Iterable[Timed], *, rate: float = 8.0) -> dict[str, int]:
+        """Play messages and wait until the node has counted them all."""
+        sent = self.peer.play(messages, rate=rate)
+        self.wait_until('not counted', lambda: self.received() == sent)
+        return sent
+
+    def received(self) -> dict[str, int]:
+        """Return how many messages of each topic the node has counted."""
+        counts = {}
+        for topic in self.peer.advertised:
+            name = 'mocap' if topic.startswith('mocap') else f'camera {topic.split("/")[0]}'
+            counts[topic] = int(self.peer.diagnostics(name).get('received', '-1'))
+        return counts
+
+    def calibrate(self) -> tuple[bool, dict[str, Any]]:
+        """Call ~/calibrate and return its success and its answer."""
+        answer = self.peer.call(f'{NODE}/calibrate', seconds=WAIT_S)
+        assert answer is not None, self.child.output
+        return answer.success, json.loads(answer.message)
+
+    def latched(self, topic: str, msg_type: type) -> Any:
+        """Return the newest message of a latched topic of the node."""
+        self.peer.listen(f'{NODE}/{topic}', msg_type)
+        self.wait_until(f'no {topic}', lambda: self.peer.newest(f'{NODE}/{topic}') is not None)
+        return self.peer.newest(f'{NODE}/{topic}')
+
+
+@contextmanager
+def live(rig: Path, *parameters: str) -> Iterator[Live]:
+    """Run the node with a rig file; its result file is `result.yaml` beside that.
+
+    Args:
+        rig: Rig file.
+        parameters: As `name:=value`; automatic calibration is off unless they say otherwise.
+
+    """
+    domain = free_domain()
+    given = (
+        f'rig_file:={rig}',
+        f'result_file:={rig.parent / "result.yaml"}',
+        'auto.enabled:=false',
+        'diagnostics_period:=0.1',
+        'tf_mode:=none',
+        *parameters,
+    )
+    arguments = [*CALIBRATOR, '--ros-args', *(word for p in given for word in ('-p', p))]
+    with running(arguments, ros_environment(domain)) as child, Peer('peer', domain_id=domain) as peer:
+        peer.listen_diagnostics()
+        yield Live(child, peer)
