@@ -223,9 +223,7 @@ def spoil(tree: dict[str, Any], path: str, value: object) -> str:
     ('path', 'value', 'message'),
     [
         ('schema', 2, 'schema: schema 2 is unknown, this version reads 1'),
-        ('schema', ..., 'schema is missing'),
         ('world_T_mocap', ..., 'world_T_mocap is missing'),
-        ('world_T_mocap', [1, 2, 3], r'world_T_mocap: need a mapping'),
         ('world_T_mocap.matrix', ..., r'world_T_mocap: matrix is missing'),
         ('world_T_mocap.matrix', [[1, 0, 0, 0]], r'matrix: need 4 rows of 4'),
         ('world_T_mocap.matrix.3', [0, 0, 0, 2], r'matrix: need 4 rows of 4'),
@@ -246,7 +244,6 @@ def spoil(tree: dict[str, Any], path: str, value: object) -> str:
         ('inlier_ratio', 1.5, r'inlier_ratio: 1\.5 is outside 0 to 1'),
         ('mocap_frame', '', 'mocap_frame: need a text'),
         ('cameras.cam0.mpjpe_px', -1.0, r'cameras\.cam0\.mpjpe_px: -1 is outside'),
-        ('cameras.cam0', 3.5, r'cameras\.cam0: need a mapping'),
         ('time_offset_s.cam0', [0.1], r'time_offset_s\.cam0: need 2 numbers'),
         ('warnings', 'none', 'warnings: need a list'),
         ('covarianse', [], r'unknown key .covarianse., did you mean covariance\?'),
@@ -285,7 +282,7 @@ def test_text_that_is_no_result_is_refused(tmp_path: Path, text: str) -> None:
     assert refused.value.reason is Reason.BAD_RESULT_FILE
 
 
-def test_every_cut_of_a_result_is_refused(tree: dict[str, Any], tmp_path: Path) -> None:
+def test_every_cut_of_a_result_is_refused(tmp_path: Path) -> None:
     """A file that ends early is never taken for a whole one."""
     text = result_text(make_calibration(), world_frame='w', mocap_frame='m', stamp_ns=STAMP_NS)
     end = text.index('cameras:')
@@ -293,7 +290,6 @@ def test_every_cut_of_a_result_is_refused(tree: dict[str, Any], tmp_path: Path) 
         (tmp_path / 'r.yaml').write_text(text[:cut])
         with pytest.raises(InputError):
             read_result(tmp_path / 'r.yaml')
-    assert set(tree) >= {'cameras'}
 
 
 def test_numbers_of_numpy_are_written_as_numbers(tmp_path: Path) -> None:

@@ -6,12 +6,12 @@ from __future__ import annotations
 import math
 import platform
 import shlex
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import yaml
 
@@ -142,7 +142,8 @@ def result_text(
             'rpgd_ros': __version__,
             'python': platform.python_version(),
             'numpy': np.__version__,
-            'opencv': cv2.__version__,
+            # The one that the solve has loaded; files are written without it.
+            'opencv': getattr(sys.modules.get('cv2'), '__version__', 'not loaded'),
         },
         'for_other_tools': for_other_tools(pose, world_frame, mocap_frame),
     }

@@ -9,9 +9,10 @@ from typing import Final, NoReturn, cast
 
 import numpy as np
 
-from rpgd_ros.core.camera import Camera, Model
+from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import RigidTransform
+from rpgd_ros.core.lens import Model
 from rpgd_ros.io.rig_types import (
     KEYPOINT_UNITS,
     METRES_PER,
