@@ -120,15 +120,14 @@ def squeeze(payload: bytes, is_compressed: bool) -> bytes:  # noqa: FBT001
 def write_metadata(path: Path, file: str, messages: list[Message], compression: str) -> None:
     """Write a metadata.yaml of version 5."""
     times = [message.receive_ns for message in messages] or [0]
-    duration = {'nanoseconds': max(times) - min(times)}
-    start = {'nanoseconds_since_epoch': min(times)}
+    duration_ns, start_ns = max(times) - min(times), min(times)
     topics = {message.topic: message.msgtype for message in messages}
     information = {
         'version': 5,
         'storage_identifier': 'sqlite3',
         'relative_file_paths': [file],
-        'duration': duration,
-        'starting_time': start,
+        'duration': {'nanoseconds': duration_ns},
+        'starting_time': {'nanoseconds_since_epoch': start_ns},
         'message_count': len(messages),
         'topics_with_message_count': [
             {
@@ -147,8 +146,8 @@ def write_metadata(path: Path, file: str, messages: list[Message], compression: 
         'files': [
             {
                 'path': file,
-                'starting_time': start,
-                'duration': duration,
+                'starting_time': {'nanoseconds_since_epoch': start_ns},
+                'duration': {'nanoseconds': duration_ns},
                 'message_count': len(messages),
             }
         ],

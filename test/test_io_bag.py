@@ -90,7 +90,7 @@ def test_what_was_recorded_is_read_in_its_order(tmp_path: Path, maker: str) -> N
         assert (bag.is_partial, bag.n_read, bag.n_expected) == (False, 0, 0)
 
 
-@pytest.mark.parametrize('maker', ['mcap', 'sqlite3', 'humble'])
+@pytest.mark.parametrize('maker', ['mcap', 'sqlite3', 'humble', 'humble_messages'])
 def test_a_storage_file_alone_is_a_bag(tmp_path: Path, maker: str) -> None:
     """People pass on the file and forget the folder."""
     messages = walk()
@@ -111,7 +111,8 @@ def test_a_folder_without_metadata_is_read_file_by_file(tmp_path: Path, maker: s
     with open_bag(folder) as bag:
         assert read(bag) == unpacked(messages)
         assert bag.is_partial
-        assert 'metadata.yaml' in bag.problem
+        assert 'an unknown number of messages' in bag.problem
+        assert 'metadata.yaml is missing' in bag.problem
 
 
 def test_split_files_follow_each_other_by_number(tmp_path: Path) -> None:

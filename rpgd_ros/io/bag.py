@@ -3,22 +3,23 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Literal, NamedTuple, Self
+from typing import NamedTuple, Self
 
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
-from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.core.errors import InputError
 from rpgd_ros.io.bag_writer import BagWriter
+from rpgd_ros.io.storage import StorageReader, Storages, open_storages
+from rpgd_ros.io.translation import Translation
+from rpgd_ros.messages import MAX_MESSAGE_BYTES
 
 __all__ = ['Bag', 'BagWriter', 'TopicInfo', 'absolute_name', 'open_bag']
 
-STORAGE_SUFFIXES = ('.mcap', '.db3')
-MAX_METADATA_BYTES = 1024 * 1024  # a bag of 1000 topics has 0.3 MiB
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR message begins like this
 
 
 class TopicInfo(NamedTuple):
@@ -46,13 +47,13 @@ class Bag:
 
     """
 
-    def __init__(self, path: Path, readers: list[Reader], stack: ExitStack, problem: str) -> None:
-        """Take over open readers and the stack that closes them; call `open_bag` instead."""
+    def __init__(self, path: Path, storages: Storages, stack: ExitStack) -> None:
+        """Take over open files and the stack that closes them; call `open_bag` instead."""
         self.path = path
-        self.topics: Mapping[str, TopicInfo] = MappingProxyType(_topics(readers))
-        self.problem = problem
+        self.topics: Mapping[str, TopicInfo] = MappingProxyType(_topics(storages.readers))
+        self.problem = storages.problem
         self.n_read = self.n_expected = 0
-        self._readers = readers
+        self._storages = storages
         self._stack = stack
 
     @property
@@ -75,26 +76,37 @@ class Bag:
             InputError: Nothing at all can be read.
 
         """
+        claimed = self._storages.claimed
+        wanted = [topic for topic in self.topics if topic in topics]
         self.n_read = 0
         self.n_expected = sum(
-            self.topics[topic].n_messages for topic in set(topics) & set(self.topics)
+            max(self.topics[topic].n_messages, claimed.get(topic, 0)) for topic in wanted
         )
         failure: InputError | None = None
-        for reader in self._readers:
+        for reader in self._storages.readers:
             try:
-                yield from self._stream_one(reader, topics)
+                yield from self._stream_one(reader, wanted)
             except InputError as error:
                 failure = error
         if failure and not self.n_read:
             raise failure
-        if failure or self.n_read < self.n_expected:
-            cause = failure.message if failure else f'{self.path}: ends early'
-            self.problem = f'{self.n_read} of {self.n_expected} messages: {cause}'
+        self.problem = self._shortfall(failure)
+
+    def _shortfall(self, failure: InputError | None) -> str:
+        """Say how much is missing, and why."""
+        causes = [self._storages.problem, failure.message if failure else '']
+        if self.n_read < self.n_expected and not any(causes):
+            causes.append(f'{self.path} has fewer than its metadata.yaml counts')
+        if not any(causes):
+            return ''
+        is_known = bool(self._storages.claimed) or not self._storages.problem
+        total = str(self.n_expected) if is_known else 'an unknown number of'
+        return f'{self.n_read} of {total} messages: {"; ".join(filter(None, causes))}'
 
     def _stream_one(
-        self, reader: Reader, topics: Collection[str]
+        self, reader: StorageReader, topics: Collection[str]
     ) -> Iterator[tuple[str, int, bytes]]:
-        with _Translation(self.path):
+        with Translation(self.path):
             connections = [c for c in reader.connections if c.topic in topics]
             if not connections:  # which would mean all to rosbags
                 return
@@ -103,8 +115,12 @@ class Bag:
                 if not isinstance(payload, bytes) or not isinstance(receive_ns, int):
                     msg = f'a message of {connection.topic!r} is no bytes or has no time'
                     raise TypeError(msg)
+                message = payload
+                if payload.startswith(ZSTD_MAGIC):
+                    # Compressed message by message, as only metadata.yaml says.
+                    message = DECOMPRESSORS['zstd'](payload, MAX_MESSAGE_BYTES)
                 self.n_read += 1
-                yield connection.topic, receive_ns, payload
+                yield connection.topic, receive_ns, message
 
     def close(self) -> None:
         """Close all files."""
@@ -129,7 +145,7 @@ def open_bag(path: Path | str) -> Bag:
 
     Args:
         path: The folder with metadata.yaml, or one .mcap or .db3 file. Without its metadata.yaml
-            a folder is read file by file.
+            a folder is read file by file, and of damaged files what is left.
 
     Raises:
         InputError: It cannot be read at all.
@@ -138,11 +154,9 @@ def open_bag(path: Path | str) -> Bag:
     path = Path(path)
     if path.name == 'metadata.yaml':
         path = path.parent
-    with ExitStack() as stack, _Translation(path):
-        if not path.exists():
-            raise _bad_bag(path, 'there is no such file or folder')
-        readers, problem = _open_readers(path, stack)
-        return Bag(path, readers, stack.pop_all(), problem)
+    with ExitStack() as stack, Translation(path):
+        storages = open_storages(path, stack)
+        return Bag(path, storages, stack.pop_all())
 
 
 def absolute_name(topic: str) -> str:
@@ -150,53 +164,7 @@ def absolute_name(topic: str) -> str:
     return '/' + topic.lstrip('/')
 
 
-def _open_readers(path: Path, stack: ExitStack) -> tuple[list[Reader], str]:
-    """Open a bag as a whole or, where that fails, file by file; say what could not be read."""
-    if not path.is_dir():
-        return [_open_reader(path, stack)], ''
-    failures = []
-    try:
-        _check_metadata(path)
-        return [_open_reader(path, stack)], ''
-    except InputError as error:
-        failures.append(error)
-    readers = []
-    for file in sorted(path.iterdir(), key=_natural_order):
-        if file.suffix in STORAGE_SUFFIXES and file.is_file():
-            try:
-                readers.append(_open_reader(file, stack))
-            except InputError as error:
-                failures.append(error)
-    if not readers:
-        raise failures[-1]
-    return readers, '; '.join(failure.message for failure in failures)
-
-
-def _check_metadata(path: Path) -> None:
-    metadata = path / 'metadata.yaml'
-    if not metadata.is_file():
-        raise _bad_bag(path, 'metadata.yaml is missing, so the recorder did not finish')
-    if metadata.stat().st_size > MAX_METADATA_BYTES:
-        raise _bad_bag(path, f'metadata.yaml has more than {MAX_METADATA_BYTES} bytes')
-
-
-def _open_reader(path: Path, stack: ExitStack) -> Reader:
-    if path.is_file() and path.suffix == '.bag':
-        raise _bad_bag(path, 'a ROS 1 bag; convert it with rosbags-convert')
-    with _Translation(path):
-        reader = stack.enter_context(Reader(path))
-        formats = {getattr(c.ext, 'serialization_format', '') for c in reader.connections}
-        if formats - {'cdr'}:
-            raise _bad_bag(path, f'messages are serialised as {sorted(formats)}, need cdr')
-        return reader
-
-
-def _natural_order(path: Path) -> list[str | int]:
-    """Order the files of a split bag: _2 before _10."""
-    return [int(part) if part.isdigit() else part for part in re.split(r'(\d+)', path.name)]
-
-
-def _topics(readers: list[Reader]) -> dict[str, TopicInfo]:
+def _topics(readers: Sequence[StorageReader]) -> dict[str, TopicInfo]:
     types: dict[str, set[str]] = {}
     counts: dict[str, int] = {}
     for reader in readers:
@@ -207,33 +175,3 @@ def _topics(readers: list[Reader]) -> dict[str, TopicInfo]:
         topic: TopicInfo(' and '.join(sorted(types[topic])), counts[topic])
         for topic in sorted(types)
     }
-
-
-def _bad_bag(path: Path, problem: str) -> InputError:
-    return InputError(Reason.BAD_BAG, f'{path}: cannot be read as a rosbag2: {problem[:300]}')
-
-
-class _Translation:
-    """Turns whatever the libraries below raise on a damaged file into our error.
-
-    rosbags passes on the errors of its storage and compression libraries (sqlite3, apsw, lz4,
-    zstandard and backports.zstd, depending on its version) and, for damaged records, whatever
-    Python says of them, down to AssertionError.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> Literal[False]:
-        if isinstance(error, Exception) and not isinstance(error, InputError):
-            what = (str(error).splitlines() or [''])[0]
-            raise _bad_bag(self._path, f'{what or "damaged"} ({type(error).__name__})') from error
-        return False
