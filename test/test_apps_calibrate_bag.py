@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import yaml
-from bags import Message, mcap_bytes
+from bags import Message, mcap_bytes, write_bag
 
 from rpgd_ros.apps import calibrate_bag
 from rpgd_ros.apps.stopping import EXIT_STOPPED
 from rpgd_ros.io.bag import BagWriter, open_bag
+from rpgd_ros.io.result_file import read_result
 from rpgd_ros.io.rig import read_rig, write_rig
 from rpgd_ros.messages import POINT_CLOUD2, encode_point_cloud2
 from rpgd_ros.simulation import build_scene, preset, simulate
@@ -123,25 +124,62 @@ def test_a_standing_person_is_refused_with_the_reason(tmp_path: Path, run: Run) 
     assert 'transform' not in outcome.out
 
 
-def test_a_damaged_bag_is_used_as_far_as_it_goes(walk: Walk, tmp_path: Path, run: Run) -> None:
-    """Exit code 3, and how much was used."""
-    messages = [m for m in messages_of(walk.bag) if 'camera_info' not in m.topic]
-    rig = rig_with_intrinsics(walk, tmp_path)
-    path = tmp_path / 'bag' / 'bag_0.mcap'
-    path.parent.mkdir()
-    path.write_bytes(mcap_bytes(messages, per_chunk=100))
-    outcome = run(path.parent, '--rig', rig)
+def test_a_cut_bag_is_used_as_far_as_it_goes(walk: Walk, tmp_path: Path, run: Run) -> None:
+    """Exit code 3, how much of how much was used, and a warning in the result."""
+    bag = tmp_path / 'bag'
+    write_bag(bag, messages_of(walk.bag), storage='sqlite3')
+    (file,) = bag.glob('*.db3')
+    file.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
+    output = tmp_path / 'result.yaml'
+    outcome = run(bag, '--rig', walk.rig, '--output', output)
+    assert outcome.code == calibrate_bag.EXIT_PARTIAL
+    found = re.search(r'partial data: (\d+) of (\d+) messages: ', outcome.err)
+    assert found is not None
+    assert 0.3 < int(found[1]) / int(found[2]) < 0.7
+    (warning,) = read_result(output).warnings
+    assert warning.startswith('found from partial data')
+
+
+def test_a_bag_without_metadata_is_partial(walk: Walk, tmp_path: Path, run: Run) -> None:
+    """The recorder did not finish; what it wrote is used."""
+    bag = tmp_path / 'bag'
+    bag.mkdir()
+    (bag / 'bag_0.mcap').write_bytes(mcap_bytes(messages_of(walk.bag), per_chunk=100))
+    outcome = run(bag, '--rig', walk.rig)
     assert outcome.code == calibrate_bag.EXIT_PARTIAL
     assert 'metadata.yaml is missing' in outcome.err
-    assert 'transform' in outcome.out
 
 
-def rig_with_intrinsics(walk: Walk, folder: Path) -> Path:
-    """Return a rig file that needs no CameraInfo."""
-    rig = read_rig(walk.rig)
-    assert all(camera.camera is not None for camera in rig.cameras)
-    write_rig(folder / 'rig.yaml', rig)
-    return folder / 'rig.yaml'
+def test_the_result_is_written_and_reads_back(walk: Walk, tmp_path: Path, run: Run) -> None:
+    """The file that the node reads; an older one is kept."""
+    output = tmp_path / 'result.yaml'
+    output.write_text('older')
+    outcome = run(walk.bag, '--rig', walk.rig, '--output', output)
+    assert outcome.code == calibrate_bag.EXIT_ACCEPTED
+    assert f'written to {output}' in outcome.out.replace('\n', '')
+    result = read_result(output)
+    truth = yaml.safe_load(walk.truth.read_text())['world_T_mocap']
+    np.testing.assert_allclose(result.world_T_mocap.translation, truth['xyz'], atol=2e-3)
+    assert (result.world_frame, result.mocap_frame) == ('world', 'mocap')
+    assert {path.read_text() for path in tmp_path.iterdir()} >= {'older'}
+
+
+def test_a_folder_that_is_not_there_is_said_before_the_work(
+    walk: Walk, tmp_path: Path, run: Run
+) -> None:
+    """Nobody wants to hear of it after an hour."""
+    outcome = run('nowhere', '--rig', walk.rig, '--output', tmp_path / 'a' / 'result.yaml')
+    assert outcome.code == calibrate_bag.EXIT_BAD_INPUT
+    assert f'(not_writable): {tmp_path / "a"} is no folder' in outcome.err
+
+
+def test_a_refusal_writes_nothing(walk: Walk, tmp_path: Path, run: Run) -> None:
+    """The result of yesterday stays."""
+    output = tmp_path / 'result.yaml'
+    output.write_text('older')
+    bag = edited(walk.bag, tmp_path / 'bag', nan_everywhere)
+    assert run(bag, '--rig', walk.rig, '--output', output).code != 0
+    assert output.read_text() == 'older'
 
 
 def nan_everywhere(message: Message) -> Message | None:
@@ -242,12 +280,15 @@ def test_a_signal_ends_the_run_at_once(walk: Walk, tmp_path: Path, number: int) 
     pipe = tmp_path / 'walk.mcap'
     os.mkfifo(pipe)
     module = [sys.executable, '-m', 'rpgd_ros.apps.calibrate_bag']
-    with subprocess.Popen(
-        [*module, str(pipe), '--rig', str(walk.rig)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process, pipe.open('wb'):  # waits until the program reads from the other end
+    with (
+        subprocess.Popen(
+            [*module, str(pipe), '--rig', str(walk.rig)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process,
+        pipe.open('wb'),
+    ):  # waits until the program reads from the other end
         process.send_signal(number)
         out, err = process.communicate(timeout=20)
     assert process.returncode == EXIT_STOPPED

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +18,7 @@ from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.apps.tables import print_calibration, print_streams
 from rpgd_ros.core.errors import InputError, Reason, RpgdError
 from rpgd_ros.io.recording import Recording, open_recording
+from rpgd_ros.io.result_file import write_result
 from rpgd_ros.io.rig import Rig, read_rig
 from rpgd_ros.pairing import BufferConfig
 from rpgd_ros.session import Session, SessionConfig, solve
@@ -29,6 +31,7 @@ INPUT_REASONS = frozenset({
 })  # fmt: skip
 # A recording is finite: all of it is kept, up to a day.
 WHOLE_RECORDING_S = 86_400.0
+UNNAMED_MOCAP_FRAME = 'mocap'  # where neither the rig file nor the messages name one
 
 DESCRIPTION = """\
 Find the transform from the MoCap frame to the world from a recording (rosbag2) of a person who
@@ -40,7 +43,7 @@ as sensor_msgs/PointCloud2 or geometry_msgs/PoseArray.
 
 examples:
   calibrate_bag walk/ --rig rig.yaml                       # mcap or sqlite3, Humble to Jazzy
-  calibrate_bag walk/walk_0.mcap --rig rig.yaml
+  calibrate_bag walk/walk_0.mcap --rig rig.yaml --output result.yaml
   calibrate_bag walk/ --rig rig.yaml --cameras cam0 cam2   # leave the others out
 exit codes:
   0   accepted
@@ -81,26 +84,50 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add('bag', type=Path, metavar='BAG', help='folder of a rosbag2, or its .mcap or .db3 file')
     add('--rig', required=True, type=Path, metavar='RIG.yaml', help='cameras, joints and topics')
+    text = 'write an accepted result here; an older file is kept beside it, with its date'
+    add('--output', type=Path, metavar='RESULT.yaml', help=text)
     text = 'use these cameras of the rig only'
     add('--cameras', nargs='+', default=[], metavar='NAME', help=text)
     return parser
 
 
 def _run(arguments: argparse.Namespace, out: Console, err: Console) -> int:
+    output: Path | None = arguments.output
+    if output and not output.parent.is_dir():
+        msg = f'{output.parent} is no folder: create it first'
+        raise InputError(Reason.NOT_WRITABLE, msg)
     rig = _chosen(read_rig(arguments.rig), arguments.cameras)
     with open_recording(arguments.bag, rig) as recording, _bar(err) as progress:
         for warning in recording.warnings:
-            err.print(f'warning: {warning}', markup=False, highlight=False)
+            _tell(err, f'warning: {warning}')
         session = Session(rig, _config(recording))
         _read(recording, session, progress)
         problem = recording.source.problem
     print_streams(out, session)
     if problem:
-        err.print(f'partial data: {problem}', markup=False, highlight=False)
+        _tell(err, f'partial data: {problem}')
     with _bar(err) as progress:
         calibration = solve(session.snapshot(), progress=progress)
-    print_calibration(out, calibration, rig.world_frame, session.mocap_frame)
+    if problem:
+        warnings = (*calibration.warnings, f'found from partial data: {problem}')
+        calibration = replace(calibration, warnings=warnings)
+    frames = rig.world_frame, session.mocap_frame or UNNAMED_MOCAP_FRAME
+    print_calibration(out, calibration, *frames)
+    if output:
+        write_result(
+            output,
+            calibration,
+            world_frame=frames[0],
+            mocap_frame=frames[1],
+            stamp_ns=time.time_ns(),
+        )
+        _tell(out, f'written to {output}')
     return EXIT_PARTIAL if problem else EXIT_ACCEPTED
+
+
+def _tell(console: Console, sentence: str) -> None:
+    """Print a sentence with foreign words in it as it is."""
+    console.print(sentence, markup=False, highlight=False, soft_wrap=True)
 
 
 def _chosen(rig: Rig, names: Sequence[str]) -> Rig:

@@ -37,7 +37,7 @@ def print_calibration(
     table = _table('', '')
     table.show_header = False
     for name, value in (
-        ('transform', f'{world_frame} <- {mocap_frame or "mocap"}: x_world = R x_mocap + t'),
+        ('transform', f'{world_frame} <- {mocap_frame}: x_world = R x_mocap + t'),
         ('t (x y z)', f'{_numbers(pose.translation)} m'),
         ('q (x y z w)', _numbers(pose.quat_xyzw)),
         ('sigma', f'{sigma_deg:.3f} deg, {1000 * sigma_m:.1f} mm at the body'),
@@ -53,7 +53,7 @@ def print_calibration(
         table.add_row(name, value)
     console.print(table)
     for warning in calibration.warnings:
-        console.print(f'warning: {warning}', markup=False, highlight=False)
+        console.print(f'warning: {warning}', markup=False, highlight=False, soft_wrap=True)
 
 
 def _camera_row(fit: GroupFit) -> tuple[str, ...]:
