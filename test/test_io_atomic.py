@@ -138,7 +138,8 @@ def test_leftovers_of_living_writers_stay(tmp_path: Path) -> None:
     """Only temporary files of this target, of processes that are gone, are removed."""
     alive = tmp_path / f'.a[1].yaml.{os.getpid()}.xyz.tmp'
     dead = tmp_path / '.a[1].yaml.99999999.xyz.tmp'
-    others = [tmp_path / '.b.yaml.99999999.xyz.tmp', tmp_path / '.a[1].yaml.note.tmp']
+    names = ('.b.yaml.99999999.x', '.a[1].yaml.note', f'.a[1].yaml.{10**20}.x', '.a[1].yaml.1.x')
+    others = [tmp_path / f'{name}.tmp' for name in names]
     for path in (alive, dead, *others):
         path.touch()
     remove_leftovers(tmp_path / 'a[1].yaml')

@@ -187,6 +187,9 @@ def test_result_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='No such file or directory') as refused:
         save(tmp_path / 'gone' / 'result.yaml')
     assert refused.value.reason is Reason.NOT_WRITABLE
+    (tmp_path / 'folder.yaml').mkdir()
+    with pytest.raises(InputError, match='cannot be read for a backup'):
+        save(tmp_path / 'folder.yaml')
     real, link = tmp_path / 'real.yaml', tmp_path / 'link.yaml'
     save(real)
     before = real.read_bytes()
@@ -194,7 +197,6 @@ def test_result_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='symbolic link'):
         save(link)
     assert real.read_bytes() == before
-    assert backups(link) == []
 
 
 @pytest.fixture(scope='module')
@@ -242,10 +244,8 @@ def spoil(tree: dict[str, Any], path: str, value: object) -> str:
         ('stamp_ns', 1.5, 'stamp_ns: need an integer'),
         ('mpjpe_px', None, 'mpjpe_px: need a number, got None'),
         ('inlier_ratio', 1.5, r'inlier_ratio: 1\.5 is outside 0 to 1'),
-        ('mocap_frame', '', 'mocap_frame: need a text'),
         ('cameras.cam0.mpjpe_px', -1.0, r'cameras\.cam0\.mpjpe_px: -1 is outside'),
         ('time_offset_s.cam0', [0.1], r'time_offset_s\.cam0: need 2 numbers'),
-        ('warnings', 'none', 'warnings: need a list'),
         ('covarianse', [], r'unknown key .covarianse., did you mean covariance\?'),
     ],
 )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -187,3 +188,11 @@ def test_rig_is_written_to_a_file(tmp_path: Path) -> None:
     assert read_rig(tmp_path / 'rig.yaml').cameras[1].pairs == rig.cameras[1].pairs
     assert 'keypoints: coco17' in text
     assert 'xyz: [0.0, 0.0, 5.0]' in text
+
+
+def test_pairs_that_names_do_not_tell_are_written_as_a_map() -> None:
+    """A MoCap with numbers for names."""
+    joints = tuple(str(j) for j in range(6))
+    camera = RigCamera('c', 'c/kp', CONVENTIONS['coco17'], ((0, 5), (3, 11), (5, 16)))
+    rig = Rig('w', MocapSource('m', joints), (replace(camera, camera_info_topic='c/info'),))
+    assert parse_rig(rig_text(rig)).cameras[0].pairs == camera.pairs

@@ -99,6 +99,8 @@ BAD_VALUES: list[tuple[str, object, str]] = [
         r'cameras\[0\]\.distortion: need 0 or 4 or 5 numbers, got 2',
     ),
     ('cameras[0].distortion_model', 'fisheye', r'distortion_model: .fisheye. is unknown'),
+    ('cameras[1].distortion_model', 'rational_polynomial', r'\.distortion: need 8 numbers'),
+    ('cameras[0].name', 'mocap', r'name: mocap is the name of the other stream'),
     ('cameras[0].rectified', True, r'cameras\[0\]: rectified keypoints have no distortion'),
     ('cameras[0].rectified', 'yes', r"cameras\[0\]\.rectified: need true or false, got 'yes'"),
     ('cameras[0].camera_T_world.quat_xyzw', [0, 0, 0, 0], r'quat_xyzw: need a quaternion .* is 0'),
@@ -230,3 +232,11 @@ def test_any_damage_to_a_value_is_refused_or_read(data: st.DataObject) -> None:
     except InputError:
         return
     assert rig.cameras
+
+
+def test_lens_model_without_its_numbers_is_refused(tree: dict[str, Any]) -> None:
+    """Eight coefficients have no default."""
+    del tree['cameras'][1]['distortion']
+    tree['cameras'][1]['distortion_model'] = 'rational_polynomial'
+    with pytest.raises(InputError, match='rational_polynomial needs distortion: 8 numbers'):
+        parse_rig(yaml.safe_dump(tree))

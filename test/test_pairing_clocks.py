@@ -116,3 +116,29 @@ def test_cleared_stream_starts_over() -> None:
     assert not contents(stream)
     assert not send(stream, regular(50, start=START - HOUR))
     assert stream.counts['kept'] == stream.counts['cleared'] == 50
+
+
+def test_strays_of_many_kinds_do_not_pile_up() -> None:
+    """Clocks gone mad: what is held back is bounded, and the stream goes on."""
+    stream = make_stream()
+    send(stream, regular(20))
+    send(stream, [Message(START + (i + 1) * HOUR) for i in range(100)], together=7)
+    assert stream.counts['jump_held'] == 100
+    assert stream.counts['kept'] == 20
+    send(stream, regular(20, start=START + 20 * BAG_AT_25_HZ))
+    assert stream.counts['kept'] == 40
+    check_counts(stream)
+
+
+def test_second_epoch_forgets_the_half_done_jump_of_the_first() -> None:
+    """Another stream jumps twice before this one has five messages of either side."""
+    stream = make_stream()
+    send(stream, regular(20, start=START + HOUR))
+    send(stream, regular(3))
+    stream.start_epoch()
+    stream.start_epoch()
+    send(stream, regular(4, start=START - HOUR))
+    assert stream.counts['kept'] == 0
+    send(stream, [Message(START - HOUR + 4 * BAG_AT_25_HZ)])
+    assert list(contents(stream)) == [m.stamp_ns for m in regular(5, start=START - HOUR)]
+    check_counts(stream)

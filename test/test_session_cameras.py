@@ -30,7 +30,7 @@ from rpgd_ros.core import (
 from rpgd_ros.messages import (
     encode_camera_info,
 )
-from rpgd_ros.session import Session, solve
+from rpgd_ros.session import MOCAP, Session, solve
 
 
 @pytest.fixture(scope='module')
@@ -137,3 +137,29 @@ def test_bad_camera_info_is_refused_and_changes_nothing(studio: Studio) -> None:
     with pytest.raises(InputError, match='no camera') as refused:
         session.set_intrinsics('cam9', b'')
     assert refused.value.reason is Reason.UNKNOWN_CAMERA
+
+
+def test_silent_camera_beside_one_without_intrinsics_is_named(studio: Studio) -> None:
+    """The only camera that could be used sends nothing, and the other cannot be used."""
+    rig = with_camera(studio.rig, 0, camera=None, camera_info_topic='i')
+    session = feed(Session(rig), studio.of(MOCAP) + studio.of('cam0'), together=500)
+    with pytest.raises(CalibrationError, match=r'cam1 .*; without intrinsics: cam0') as refused:
+        session.snapshot()
+    assert refused.value.reason is Reason.NO_DATA
+
+
+def test_pose_from_tf_reaches_a_camera_with_camera_info(studio: Studio) -> None:
+    """Intrinsics and pose may come in either order."""
+    camera = studio.rig.cameras[0].camera
+    pose = studio.rig.cameras[0].extrinsics
+    assert camera is not None
+    assert pose is not None
+    bare = with_camera(studio.rig, 0, camera=None, camera_info_topic='i', extrinsics=None)
+    for pose_first in (True, False):
+        session = feed(Session(bare), studio.messages, together=500)
+        if pose_first:
+            session.set_extrinsics('cam0', pose)
+        session.set_intrinsics('cam0', info_of(camera))
+        if not pose_first:
+            session.set_extrinsics('cam0', pose)
+        assert errors(solve(session.snapshot()))[0] < 0.1

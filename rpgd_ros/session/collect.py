@@ -134,10 +134,7 @@ class Session:
             InputError: No such camera.
 
         """
-        camera = self._camera(name)
-        camera.rig = replace(
-            camera.rig, time_offset_s=time_offset_s, min_confidence=min_confidence
-        )
+        self._camera(name).update(time_offset_s, min_confidence)
 
     def reset(self) -> None:
         """Drop all messages; intrinsics, extrinsics and counts stay."""
@@ -183,8 +180,9 @@ class Session:
 
         """
         self._check_frames()
-        self._check_data()
+        self._check_data(tuple(self._cameras))
         cameras = self._calibrated_cameras()
+        self._check_data([camera.name for camera in cameras])
         counts = {
             name: count
             for name, count in self.pair_counts().items()
@@ -228,16 +226,19 @@ class Session:
             )
             raise CalibrationError(Reason.BAD_RIG, msg)
 
-    def _check_data(self) -> None:
-        """Refuse where the skeleton, or all keypoints, are silent; say why."""
-        topics = {stream: topic for topic, stream in self.topics().items()}
-        silent = [name for name, s in self._inputs.items() if not len(s.store.stamps())]
-        if MOCAP not in silent and set(silent) != set(self._cameras):
+    def _check_data(self, cameras: Sequence[str]) -> None:
+        """Refuse where the skeleton, or the keypoints of all these cameras, are silent."""
+        silent = [n for n in (MOCAP, *cameras) if not len(self._inputs[n].store.stamps())]
+        if MOCAP not in silent and len(silent) < len(cameras):
             return
+        topics = {stream: topic for topic, stream in self.topics().items()}
         told = [
             f'{name} ({topics[name]}; {describe(self._inputs[name].counts())})' for name in silent
         ]
-        raise CalibrationError(Reason.NO_DATA, f'no usable messages of {", ".join(told)}')
+        others = [name for name in self._cameras if name not in cameras]
+        without = f'; without intrinsics: {", ".join(others)}' if others else ''
+        msg = f'no usable messages of {", ".join(told)}{without}'
+        raise CalibrationError(Reason.NO_DATA, msg)
 
     def _calibrated_cameras(self) -> tuple[Camera, ...]:
         """Return the cameras that have intrinsics, with their poses."""

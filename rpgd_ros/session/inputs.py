@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from rpgd_ros.core.camera import Camera
-from rpgd_ros.core.geometry import Array, BoolArray, RigidTransform
+from rpgd_ros.core.geometry import BoolArray, RigidTransform
 from rpgd_ros.io.rig import METRES_PER, MocapSource, RigCamera
 from rpgd_ros.messages import CameraInfo, decode_joints
 from rpgd_ros.pairing import BufferConfig, JointStream
@@ -36,6 +36,8 @@ class StreamInput:
         used: Sequence[int],
         n_values: Literal[2, 3],
         buffer: BufferConfig,
+        scale: float = 1.0,
+        min_confidence: float = 0.0,
     ) -> None:
         """Start empty.
 
@@ -44,6 +46,8 @@ class StreamInput:
             used: Those that are kept, in this order.
             n_values: Coordinates of each.
             buffer: Bounds of the store.
+            scale: Factor on the coordinates.
+            min_confidence: Joints with a lower score are counted.
 
         """
         self.store = JointStream(
@@ -53,6 +57,8 @@ class StreamInput:
         self._n_joints = n_joints
         self._n_values: Literal[2, 3] = n_values
         self._used = np.array(used, np.int64)
+        self._scale = scale
+        self._min_confidence = min_confidence
         self._n_received = 0
         self._dropped: Counter[str] = Counter()
         self._joints: Counter[str] = Counter()
@@ -89,10 +95,16 @@ class StreamInput:
         if use_receive_time:
             stamp_ns = np.array([receive_ns[i] for i in batch.index], np.int64)
         values = batch.values.take(self._used, axis=1)
+        if self._scale != 1.0:
+            values *= self._scale
         confidence = batch.confidence
         if confidence is not None:
             confidence = confidence.take(self._used, axis=1)
-        return self.store.add(stamp_ns, self._prepared(values, confidence), confidence)
+            # Only counted here, taken out of the snapshot: a new limit holds for what is stored.
+            if self._min_confidence > 0.0 and (confidence < self._min_confidence).any():
+                n_low = int(np.count_nonzero(confidence < self._min_confidence))
+                self._joints['low_confidence'] += n_low
+        return self.store.add(stamp_ns, values, confidence)
 
     def clear(self) -> None:
         """Forget the messages and their frame; the counts stay."""
@@ -106,19 +118,19 @@ class StreamInput:
             counts[reason] = counts.get(reason, 0) + n
         return counts | self._joints
 
-    def _prepared(self, values: Array, confidence: Array | None) -> Array:
-        """Return coordinates as they are to be stored."""
-        del confidence
-        return values
-
 
 class MocapInput(StreamInput):
     """The skeletons, in metres."""
 
     def __init__(self, source: MocapSource, used: Sequence[int], buffer: BufferConfig) -> None:
         """Start empty; `used` are the joints that some camera sees."""
-        super().__init__(n_joints=len(source.joints), used=used, n_values=3, buffer=buffer)
-        self._scale = METRES_PER[source.units]
+        super().__init__(
+            n_joints=len(source.joints),
+            used=used,
+            n_values=3,
+            buffer=buffer,
+            scale=METRES_PER[source.units],
+        )
 
     def motion_m(self) -> float:
         """Return how far the body moved: diagonal of the box that holds its centre, metres."""
@@ -133,10 +145,6 @@ class MocapInput(StreamInput):
         centres = np.nanmean(x - np.nanmedian(x, 0), 1)
         low, high = np.quantile(centres, [0.02, 0.98], axis=0)
         return float(np.linalg.norm(high - low))
-
-    def _prepared(self, values: Array, confidence: Array | None) -> Array:
-        del confidence
-        return values if self._scale == 1.0 else values * self._scale
 
 
 class CameraInput(StreamInput):
@@ -155,6 +163,7 @@ class CameraInput(StreamInput):
             used=[k for _, k in rig.pairs],
             n_values=2,
             buffer=buffer,
+            min_confidence=rig.min_confidence,
         )
         self.rig = rig
         self.camera: Camera | None = rig.camera
@@ -166,6 +175,11 @@ class CameraInput(StreamInput):
     def has_pose(self) -> bool:
         """Whether the pose in the world is known."""
         return self._pose is not None
+
+    def update(self, time_offset_s: float, min_confidence: float) -> None:
+        """Change what the rig file said; holds for all that is stored."""
+        self.rig = replace(self.rig, time_offset_s=time_offset_s, min_confidence=min_confidence)
+        self._min_confidence = min_confidence
 
     def set_info(self, info: CameraInfo) -> None:
         """Take intrinsics, unless the rig file gives them; others than before start it over."""
@@ -201,14 +215,6 @@ class CameraInput(StreamInput):
             min_confidence=self.rig.min_confidence,
             time_offset_s=time_offset_s,
         )
-
-    def _prepared(self, values: Array, confidence: Array | None) -> Array:
-        # Low scores are taken out of the snapshot, so that a new limit holds for what is stored.
-        if confidence is not None and self.rig.min_confidence > 0.0:
-            low = int(np.count_nonzero(confidence < self.rig.min_confidence))
-            if low:
-                self._joints['low_confidence'] += low
-        return values
 
 
 def _are_equal(a: CameraInfo, b: CameraInfo) -> bool:
