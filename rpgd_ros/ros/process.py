@@ -16,7 +16,8 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.ros.node import CalibratorNode
 from rpgd_ros.ros.signals import StopFlag
 
-STOP_SECONDS = 1.2  # for the running solve to end and its caller to hear of it; 2 s are promised
+STOP_SECONDS = 1.2  # for the running solve to end; the whole end is promised within 2 s
+ANSWER_SECONDS = 0.1  # for calls that had arrived, and for answers to leave the process
 
 
 def run_node(arguments: Sequence[str], stop: StopFlag) -> None:
@@ -51,11 +52,11 @@ def run_node(arguments: Sequence[str], stop: StopFlag) -> None:
 
 
 def _let_it_end(node: CalibratorNode, executor: SingleThreadedExecutor) -> None:
-    """Ask a running job to end and stay until its caller has heard of it."""
+    """Ask a running job to end, and stay until its caller and those who wait have heard of it."""
     node.request_stop()
-    end = time.monotonic() + STOP_SECONDS
-    while node.is_busy and time.monotonic() < end:
-        executor.spin_once(timeout_sec=0.05)
+    start = time.monotonic()
+    while time.monotonic() < start + (STOP_SECONDS if node.is_busy else ANSWER_SECONDS):
+        executor.spin_once(timeout_sec=0.02)
 
 
 def _init(arguments: Sequence[str]) -> None:
