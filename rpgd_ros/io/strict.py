@@ -15,7 +15,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.skeletons import hint
 
 MAX_BYTES = 2**20  # 14 cameras take 10 KiB
-MAX_EVENTS = 100_000  # 14 cameras take 2000
+MAX_EVENTS = 50_000  # 14 cameras take 2000; a second without libyaml
 MAX_DEPTH = 32
 MAX_SCALAR = 4096
 MAX_SHOWN = 80  # characters of a foreign string in a message
