@@ -175,6 +175,7 @@ def mcap_bytes(
     *,
     compression: Literal['', 'lz4', 'zstd'] = 'lz4',
     per_chunk: int = 6,
+    encoding: str = 'cdr',
 ) -> bytes:
     """Make an mcap file as the recorder streams it: chunks with checksums, no index at the end.
 
@@ -193,7 +194,12 @@ def mcap_bytes(
                 announced.add(message.topic)
                 schema = struct.pack('<H', key), text(message.msgtype), text('ros2msg'), text('')
                 records.append(record(3, *schema))
-                channel = struct.pack('<HH', key, key), text(message.topic), text('cdr'), text('')
+                channel = (
+                    struct.pack('<HH', key, key),
+                    text(message.topic),
+                    text(encoding),
+                    text(''),
+                )
                 records.append(record(4, *channel))
             times = struct.pack('<HIQQ', key, 0, message.receive_ns, message.receive_ns)
             records.append(record(5, times, message.payload))

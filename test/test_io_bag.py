@@ -173,6 +173,14 @@ def test_a_topic_that_changes_its_type_has_both(tmp_path: Path) -> None:
         assert bag.topics[SKELETON].msgtype == f'{POINT_CLOUD2} and std_msgs/msg/String'
 
 
+def test_another_serialisation_is_refused(tmp_path: Path) -> None:
+    """Foxglove's json under the names of ROS types."""
+    path = tmp_path / 'walk.mcap'
+    path.write_bytes(mcap_bytes(walk(2), encoding='json'))
+    with pytest.raises(InputError, match=r"serialised as \['json'\], need cdr"):
+        open_bag(path)
+
+
 def damaged(tmp_path: Path, kind: str) -> Path:
     """Make something that is no bag."""
     path = tmp_path / 'walk'

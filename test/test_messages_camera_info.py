@@ -99,7 +99,7 @@ def test_rectified_keypoints_take_p_without_distortion_and_axes_turned_by_r() ->
     raw = info.camera('cam0', pose).project(x_world)
     expected = cv2.undistortPoints(raw[:, None], K, np.array(PLUMB_BOB), None, R, P)
     rectified = info.camera('cam0', pose, is_rectified=True)
-    assert not rectified.is_distorted
+    assert not rectified.distortion.any()
     np.testing.assert_allclose(rectified.project(x_world), expected[:, 0], atol=0.01)
 
 

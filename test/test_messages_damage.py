@@ -61,6 +61,8 @@ def stamped(sec: int, nanosec: int) -> bytes:
         ('malformed', POINT_CLOUD2, GOOD_CLOUD[:-1]),
         ('malformed', POINT_CLOUD2, GOOD_CLOUD + bytes(4)),
         ('malformed', POINT_CLOUD2, cloud(np.zeros(4, F4XYZ), frame_id='f' * 129)),
+        ('malformed', POINT_CLOUD2, GOOD_CLOUD.replace(b'mocap', b'moc\xffp')),
+        ('malformed', POINT_CLOUD2, GOOD_CLOUD.replace(b'mocap\0', b'mocap.')),
         ('malformed', POSE_ARRAY, GOOD_CLOUD),
         ('malformed', POSE_ARRAY, GOOD_POSES[:-56]),
         ('malformed', POSE_ARRAY, GOOD_POSES[:16] + b'\xff' + GOOD_POSES[17:]),

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import peers
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rpgd_ros.core import InputError, Reason
@@ -70,6 +70,7 @@ def test_rosbags_reads_the_poses_and_writes_the_same_bytes(frame_id: str) -> Non
 
 
 @settings(max_examples=100)
+@example(2**31 * 10**9 - 1, '', [1.0, 2.0, 3.0])
 @given(
     st.integers(1, 2**31 * 10**9 - 1),
     st.text(max_size=20).filter(lambda text: '\0' not in text),

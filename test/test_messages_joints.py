@@ -260,7 +260,7 @@ def seconds_per_message(function: Any, payloads: list[bytes]) -> float:
     return min(times) / len(payloads)
 
 
-def test_a_batch_is_decoded_ten_times_faster_than_message_by_message_in_python() -> None:
+def test_a_batch_is_decoded_five_times_faster_than_message_by_message_in_python() -> None:
     """Why the bytes are read by numpy; side by side, because machines differ."""
     values = np.random.default_rng(0).normal(size=(28, 3))
     payloads = [encode_pose_array(STAMP_NS + i, 'mocap', values) for i in range(100)]
@@ -268,4 +268,4 @@ def test_a_batch_is_decoded_ten_times_faster_than_message_by_message_in_python()
     theirs = seconds_per_message(
         lambda p: [peers.read(payload, POSE_ARRAY) for payload in p], payloads
     )
-    assert ours < 0.1 * theirs
+    assert ours < 0.2 * theirs

@@ -182,13 +182,16 @@ class _Topics:
             if channel in self._channels:
                 yield *self._channels[channel], receive_ns, body[MESSAGE_HEAD.size :]
         elif code == SCHEMA and len(body) >= 6:
-            self._types[int.from_bytes(body[:2], 'little')] = _string(body, 2)
+            self._types[int.from_bytes(body[:2], 'little')] = _string(body, 2)[0]
         elif code == CHANNEL and len(body) >= 8:
             channel, schema = struct.unpack_from('<HH', body)
-            msgtype = self._types.get(schema, '')
-            self._channels[channel] = _string(body, 4), msgtype
+            topic, end = _string(body, 4)
+            if _string(body, end)[0] == 'cdr':
+                self._channels[channel] = topic, self._types.get(schema, '')
 
 
-def _string(body: bytes, position: int) -> str:
+def _string(body: bytes, position: int) -> tuple[str, int]:
+    """Return the string at a position, and the position after it."""
     size = int.from_bytes(body[position : position + 4], 'little')
-    return body[position + 4 : position + 4 + size].decode(errors='replace')
+    end = position + 4 + size
+    return body[position + 4 : end].decode(errors='replace'), end

@@ -9,9 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from rpgd_ros.core.camera import EQUIDISTANT_LENGTHS, PINHOLE_LENGTHS, Camera, Model
+from rpgd_ros.core.camera import EQUIDISTANT_LENGTHS, PINHOLE_LENGTHS, Camera
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, RigidTransform
+from rpgd_ros.core.lens import Model
 from rpgd_ros.messages.cdr import MAX_FRAME_ID, NS_PER_S, CdrError, CdrReader, CdrWriter
 
 CAMERA_INFO: Final = 'sensor_msgs/msg/CameraInfo'

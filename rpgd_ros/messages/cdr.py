@@ -22,7 +22,7 @@ MAX_PADDING: Final = 3  # some vendors fill a message up to a multiple of four b
 MAX_MESSAGE_BYTES: Final = 256 * 1024
 MAX_FRAME_ID: Final = 128
 NS_PER_S: Final = 1_000_000_000
-_MAX_STAMP_NS: Final = (2**31 - 1) * NS_PER_S  # builtin_interfaces/Time counts seconds in an int32
+_MAX_STAMP_NS: Final = 2**31 * NS_PER_S - 1  # builtin_interfaces/Time counts seconds in an int32
 
 
 class CdrError(Exception):
