@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rpgd_ros.core.body import check_body, motion_m
+from rpgd_ros.core.clocks import Clocks, set_clocks
 from rpgd_ros.core.config import (
     PAPER_RANSAC_FRAMES,
     PAPER_REFINE_FRAMES,
     PAPER_THRESHOLD_PX,
     CalibrationConfig,
 )
+from rpgd_ros.core.covariance import covariances
 from rpgd_ros.core.diagnose import (
     MAY_BE_MIRRORED,
     MIRRORED,
@@ -23,21 +26,20 @@ from rpgd_ros.core.diagnose import (
     refuse_swapped,
 )
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
-from rpgd_ros.core.linearise import Sight, residuals
-from rpgd_ros.core.noise import LARGEST_NOISE, Loss, NoiseModel, SquaredLoss, fit_noise
-from rpgd_ros.core.quality import check_body, covariances, fits, motion_m, refuse, spread
+from rpgd_ros.core.linearise import Sight
+from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, noise_at
+from rpgd_ros.core.quality import fits, refuse
 from rpgd_ros.core.ransac import published, robust_start
 from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
 from rpgd_ros.core.result import Calibration
+from rpgd_ros.core.thin import MIDDLE_POINTS, budget, spread, thin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rpgd_ros.core.camera import Camera
-    from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
+    from rpgd_ros.core.geometry import Array, RigidTransform
     from rpgd_ros.core.observations import Observations
-
-MIDDLE_POINTS = 32_768  # the noise is fitted on them: 0.5 % of its sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,16 +101,20 @@ def calibrate(
     check_body(sights)
     rng = np.random.default_rng(config.ransac.seed if seed is None else seed)
     centroid = _centroid(sights)
-    rival_ratio = np.inf
+    clocks = Clocks()
     if config.ransac.score == 'inliers':
         pose, noise = _published_start(sights, config, rng, run)
+        rival_ratio = np.inf
     else:
         start = robust_start(sights, config.ransac, rng, check=run.check('start'))
-        rival_ratio = start.rival_ratio
-        pose, noise, _ = start.candidates[0]
+        if config.time.estimate_offset != 'off':
+            clocks, sights, start = set_clocks(
+                sights, observations.mocap, start, centroid, config, rng, check=run.check('clocks')
+            )
+        (pose, noise, _), rival_ratio = start.candidates[0], start.rival_ratio
     descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
     calibration = _report(
-        sights, descent, loss, threshold_px=threshold_px, centroid=centroid,
+        sights, descent, loss, threshold_px=threshold_px, centroid=centroid, clocks=clocks,
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
     )  # fmt: skip
     refuse_swapped(sights, calibration)
@@ -151,31 +157,14 @@ def _centroid(sights: Sequence[Sight]) -> Array:
     return centre
 
 
-def _thin(sights: Sequence[Sight], stride: int, choose: Callable[[int], IntArray]) -> list[Sight]:
-    """Downsample in time: every stride-th frame, or those that `choose` picks of n."""
-    out = []
-    for s in sights:
-        n = s.view.n_frames
-        frames = np.arange(0, n, stride) if stride else choose(n)
-        out.append(s if len(frames) == n else s.at_frames(frames))
-    return out
-
-
-def _budget(sights: Sequence[Sight], points: int) -> Callable[[int], IntArray]:
-    """Return a chooser that keeps about `points` correspondences over all cameras."""
-    total = sum(s.view.n_frames * s.view.n_joints for s in sights)
-    share = min(1.0, points / max(total, 1))
-    return lambda n_frames: spread(n_frames, max(1, int(np.ceil(share * n_frames))))
-
-
 def _published_start(
     sights: Sequence[Sight], config: CalibrationConfig, rng: np.random.Generator, run: _Run
 ) -> tuple[RigidTransform, NoiseModel]:
     tau = config.ransac.threshold_px or PAPER_THRESHOLD_PX
     ransac = replace(config.ransac, threshold_px=tau)
-    thin = _thin(sights, ransac.frame_stride, lambda n: spread(n, PAPER_RANSAC_FRAMES))
-    pose = published(thin, ransac, rng, check=run.check('start'))
-    return pose, _noise_at(thin, pose)
+    few = thin(sights, ransac.frame_stride, lambda n: spread(n, PAPER_RANSAC_FRAMES))
+    pose = published(few, ransac, rng, check=run.check('start'))
+    return pose, noise_at(few, pose)
 
 
 def _refine(
@@ -186,40 +175,20 @@ def _refine(
     check, refine, steps = run.check('refinement'), config.refine, config.refine.iterations
     if refine.method == 'newton' and refine.loss == 'robust':
         # The noise is fitted on a part of the data, where the pose is already at its optimum.
-        middle = _thin(sights, 0, _budget(sights, MIDDLE_POINTS))
+        middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
         pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
-        noise = _noise_at(middle, pose)
+        noise = noise_at(middle, pose)
     loss: Loss = SquaredLoss() if refine.loss == 'squared' else noise
     threshold_px = config.ransac.threshold_px or noise.threshold_px
-    used = _thin(sights, refine.frame_stride, _budget(sights, refine.max_correspondences))
+    used = thin(sights, refine.frame_stride, budget(sights, refine.max_correspondences))
     if refine.method == 'newton':
         end = finish(used, pose, centroid, loss, max_steps=steps, threshold_px=threshold_px,
                      check=check)  # fmt: skip
         return end, loss, threshold_px
     if refine.method == 'adam':
-        thin = _thin(sights, refine.frame_stride, lambda n: spread(n, PAPER_REFINE_FRAMES))
-        pose = adam(thin, pose, refine, loss, check=check)
+        few = thin(sights, refine.frame_stride, lambda n: spread(n, PAPER_REFINE_FRAMES))
+        pose = adam(few, pose, refine, loss, check=check)
     return appraise(used, pose, centroid, loss, threshold_px=threshold_px), loss, threshold_px
-
-
-def _noise_at(sights: Sequence[Sight], pose: RigidTransform) -> NoiseModel:
-    """Fit the spread of the residuals of a pose.
-
-    Raises:
-        CalibrationError: No keypoint lies before a camera.
-
-    """
-    out = [np.empty(0)]
-    for s in sights:
-        for x, uv in s.chunks():
-            res = residuals(s.camera, s.camera_T_world @ pose, x, uv)
-            out.append(np.sqrt(res.squared)[res.in_view])
-    residual_px = np.concatenate(out)
-    if not len(residual_px):
-        msg = 'no keypoint lies before a camera in the best pose found'
-        raise CalibrationError(Reason.TOO_FEW_INLIERS, msg)
-    largest_px = LARGEST_NOISE * float(np.median([s.camera.focal_px for s in sights]))
-    return fit_noise(residual_px, largest_px=largest_px)
 
 
 def _report(
@@ -229,6 +198,7 @@ def _report(
     *,
     threshold_px: float,
     centroid: Array,
+    clocks: Clocks,
     joint_names: tuple[str, ...] | None,
     config: CalibrationConfig,
     seconds: float,
@@ -240,7 +210,8 @@ def _report(
     if isinstance(loss, SquaredLoss):
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
         variance = 2.0 * descent.examination.cost / max(2 * n - 6, 1)
-    covariance, over_time = covariances(descent, centroid, variance=variance)
+    timed = clocks.equations(descent.pose, centroid)
+    covariance, over_time = covariances(descent, centroid, variance=variance, timed=timed)
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
     return Calibration(
@@ -259,5 +230,7 @@ def _report(
         per_camera=fits(counts, [s.camera.name for s in sights], axis=1),
         per_joint=fits(counts, names, axis=0),
         config=config,
+        time_offset_s=clocks.offsets(timed),
+        warnings=clocks.warnings,
         seconds=seconds,
     )

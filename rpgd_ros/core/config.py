@@ -144,6 +144,23 @@ class RefineConfig(Stage):
 
 
 @dataclass(frozen=True)
+class TimeConfig(Stage):
+    """Offset between the clocks of video and MoCap."""
+
+    estimate_offset: Literal['off', 'common', 'per_camera'] = setting(
+        'off', 'Estimate how late the video is stamped: one offset, or one per camera',
+        choices=('off', 'common', 'per_camera'),
+    )  # fmt: skip
+    search_s: float = setting(
+        3.0, 'Largest offset looked for where video and MoCap were never synchronised', unit='s',
+        low=0.0, high=60.0,
+    )  # fmt: skip
+    max_sigma_s: float = setting(
+        0.01, 'An offset known worse than this is not applied', unit='s', low=1e-6, high=1.0
+    )
+
+
+@dataclass(frozen=True)
 class AcceptConfig(Stage):
     """Gates between a pose and an accepted calibration."""
 
@@ -184,6 +201,7 @@ class CalibrationConfig:
     Attributes:
         ransac: Robust start.
         refine: Refinement.
+        time: Offset between the clocks.
         accept: Gates.
         max_seconds: Time limit of one run; 0 = none.
 
@@ -191,6 +209,7 @@ class CalibrationConfig:
 
     ransac: RansacConfig = field(default_factory=RansacConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
+    time: TimeConfig = field(default_factory=TimeConfig)
     accept: AcceptConfig = field(default_factory=AcceptConfig)
     max_seconds: float = 0.0
 
@@ -210,7 +229,7 @@ class CalibrationConfig:
     @classmethod
     def thorough(cls) -> Self:
         """Return the settings of the node and of `calibrate_bag`."""
-        return cls()
+        return cls(time=TimeConfig(estimate_offset='per_camera'))
 
     def with_stage(self, name: str, **changes: Any) -> Self:
         """Return a copy with fields of one stage changed."""

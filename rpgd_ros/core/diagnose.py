@@ -10,8 +10,8 @@ import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.quality import spread
 from rpgd_ros.core.ransac import robust_start
+from rpgd_ros.core.thin import spread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -110,7 +110,7 @@ def examine(
 
 
 def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:
-    """Number each camera's frames by stretches of time common to all: (F,), 0 to TIME_BLOCKS - 1."""
+    """Number each camera's frames by stretch of time, common to all: (F,), 0 to TIME_BLOCKS."""
     times = [
         np.linspace(0.0, 1.0, s.view.n_frames) if s.view.stamp_ns is None else s.view.stamp_ns
         for s in sights

@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array, Column
+from rpgd_ros.core.errors import CalibrationError, Reason
+from rpgd_ros.core.geometry import Array, Column, RigidTransform
+from rpgd_ros.core.linearise import Residuals, Sight, residuals
 
 if TYPE_CHECKING:
-    from rpgd_ros.core.linearise import Residuals
+    from collections.abc import Sequence
 
 TAILS = (3.0, 6.0, 15.0, 1000.0)  # nu: detectors lie between 3 (heavy) and Gaussian
 STARTS = (0.1, 0.3, 0.5)  # quantiles at which sigma is begun: a fit may have several optima
@@ -155,6 +157,26 @@ def fit_noise(residual_px: Array, *, largest_px: float, quick: bool = False) -> 
         background=float((1.0 - share[best, 0]) / (2.0 * np.pi * broad2[best, 0])),
         is_sharp=bool(sigma2[best, 0] < (SHARP * largest_px) ** 2),
     )
+
+
+def noise_at(sights: Sequence[Sight], pose: RigidTransform) -> NoiseModel:
+    """Fit the spread of the residuals of a pose.
+
+    Raises:
+        CalibrationError: No keypoint lies before a camera.
+
+    """
+    out = [np.empty(0)]
+    for s in sights:
+        for x, uv in s.chunks():
+            res = residuals(s.camera, s.camera_T_world @ pose, x, uv)
+            out.append(np.sqrt(res.squared)[res.in_view])
+    residual_px = np.concatenate(out)
+    if not len(residual_px):
+        msg = 'no keypoint lies before a camera in the best pose found'
+        raise CalibrationError(Reason.TOO_FEW_INLIERS, msg)
+    largest_px = LARGEST_NOISE * float(np.median([s.camera.focal_px for s in sights]))
+    return fit_noise(residual_px, largest_px=largest_px)
 
 
 def _histogram(residual_px: Array) -> tuple[Array, Array]:

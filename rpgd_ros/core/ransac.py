@@ -67,8 +67,8 @@ class Start:
     rival_ratio: float
 
 
-class _Ranked(NamedTuple):
-    """Hypotheses by score, the best first."""
+class Ranked(NamedTuple):
+    """Hypotheses by score, the best first: (H, 3, 3), (H, 3) metres, (H,)."""
 
     rotation: Array
     translation: Array
@@ -93,7 +93,7 @@ def robust_start(
     """
     pool = make_pool(sights, max(POOL_POINTS_PER_CAMERA, POOL_POINTS // len(sights)), rng)
     coarse = pool.take(np.arange(0, len(pool), max(1, len(pool) // COARSE_POINTS)))
-    kept = _Ranked(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
+    kept = Ranked(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
     candidates: list[Candidate] = []
     drawn, share = 0, 0.0
     while drawn < config.iterations:
@@ -101,7 +101,7 @@ def robust_start(
         triplets = draw_triplets(pool, min(BATCH, config.iterations - drawn), rng,
                                  same_frame=config.sampling == 'same_frame')  # fmt: skip
         drawn += len(triplets)
-        kept = _merge(kept, _rank(coarse, *solve_triplets(pool, triplets)))
+        kept = _merge(kept, rank(coarse, *solve_triplets(pool, triplets)))
         if not len(kept.score):
             continue
         share = max(share, _explained(pool, kept))
@@ -252,30 +252,30 @@ def _degenerate(x: Array) -> BoolArray:
     return out
 
 
-def _rank(pool: Pool, rotation: Array, translation: Array) -> _Ranked:
+def rank(pool: Pool, rotation: Array, translation: Array) -> Ranked:
     """Score hypotheses by their mean log residual between SOFT and CAP; lower is better."""
     squared = pool.squared_residuals(rotation, translation) / pool.focal_px**2
     score = np.log(np.minimum(squared, CAP**2) + SOFT**2).mean(1)
     order = np.argsort(score, kind='stable')
-    return _Ranked(rotation[order], translation[order], score[order])
+    return Ranked(rotation[order], translation[order], score[order])
 
 
-def _merge(kept: _Ranked, new: _Ranked) -> _Ranked:
+def _merge(kept: Ranked, new: Ranked) -> Ranked:
     """Keep the best KEPT of both."""
     order = np.argsort(np.concatenate([kept.score, new.score]), kind='stable')[:KEPT]
     pairs = zip(kept, new, strict=True)
-    return _Ranked(*(np.concatenate(pair)[order] for pair in pairs))
+    return Ranked(*(np.concatenate(pair)[order] for pair in pairs))
 
 
-def _explained(pool: Pool, kept: _Ranked) -> float:
+def _explained(pool: Pool, kept: Ranked) -> float:
     """Share of the pool that the best hypothesis explains as it is."""
     squared = pool.squared_residuals(kept.rotation[:1], kept.translation[:1])
     return float((squared < (EXPLAINED * pool.focal_px) ** 2).mean())
 
 
-def _polish_best(pool: Pool, kept: _Ranked) -> list[Candidate]:
+def _polish_best(pool: Pool, kept: Ranked) -> list[Candidate]:
     """Polish the best hypotheses that are no neighbours; return distinct minima, best first."""
-    ranked = _rank(pool, kept.rotation, kept.translation)
+    ranked = rank(pool, kept.rotation, kept.translation)
     close = int((ranked.score < ranked.score[0] + WITHIN).sum())
     centroid = pool.centroid_mocap
     starts: list[RigidTransform] = []

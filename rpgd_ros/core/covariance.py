@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a pose is to be trusted: covariances that know what does not average out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rpgd_ros.core.geometry import Array
+
+if TYPE_CHECKING:
+    from rpgd_ros.core.offsets import TimedNormal
+    from rpgd_ros.core.refine import Descent
+
+
+def covariances(
+    descent: Descent,
+    centroid_mocap: Array,
+    *,
+    variance: float = 1.0,
+    timed: TimedNormal | None = None,
+) -> tuple[Array, Array]:
+    """Return `Calibration.covariance` and `Calibration.covariance_over_time`, (6, 6) each.
+
+    A detector's joint is not the MoCap's joint, and the difference does not average out over
+    frames. So the pull of the residuals is also summed per joint, and its spread between joints
+    gives a clustered covariance; the first result is at least as large as that and as the one of
+    independent errors. The second is from the spread between stretches of time: it grows when
+    errors last, as those of a detector that follows somebody else.
+
+    Args:
+        descent: The end of the refinement.
+        centroid_mocap: (3,) metres.
+        variance: Factor of the loss to a log likelihood (1 for a fitted `NoiseModel`).
+        timed: Where offsets were estimated too, the sums by pose and offsets: what is not known
+            of the offsets is then not known of the pose.
+
+    """
+    inverse = _inverse(descent.normal.hessian, descent.normal.information)
+    seen = descent.examination
+    # From the pivot's displacement d to the translation: d_t = d + lever x w.
+    x, y, z = descent.pose.rotation @ centroid_mocap
+    to_origin = np.eye(6)
+    to_origin[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+
+    def moved(about_pivot: Array) -> Array:
+        out: Array = to_origin @ about_pivot @ to_origin.T
+        return 0.5 * (out + out.T)
+
+    by_joint = inverse @ _spread_between(seen.joint_scores) @ inverse
+    by_time = inverse @ _spread_between(seen.time_scores) @ inverse
+    whole = larger(variance * inverse, by_joint) if timed is None else _timed_covariance(timed)
+    return moved(whole[:6, :6]), moved(by_time)
+
+
+def offset_sigmas(timed: TimedNormal) -> Array:
+    """Return the standard deviation of each estimated offset, seconds."""
+    sigma: Array = np.sqrt(np.diag(_timed_covariance(timed))[6:])
+    return sigma
+
+
+def _timed_covariance(timed: TimedNormal) -> Array:
+    """Covariance of pose and offsets, as in `covariances`."""
+    inverse = _inverse(timed.hessian, timed.information)
+    return larger(inverse, inverse @ _spread_between(timed.joint_scores) @ inverse)
+
+
+def _spread_between(scores: Array) -> Array:
+    """(6, 6) covariance of the sum of independent groups, from the scores (groups, 6)."""
+    used = scores[np.any(scores != 0.0, axis=1)]
+    apart = used - used.mean(0) if len(used) else used
+    spread: Array = apart.T @ apart * (len(used) / max(len(used) - 1, 1))
+    return spread
+
+
+def larger(a: Array, b: Array) -> Array:
+    """Return the smallest covariance that is at least `a` everywhere and `b` where b exceeds a."""
+    root = np.linalg.cholesky(a)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ b @ inverse.T)
+    out: Array = root @ (vectors * np.maximum(values, 1.0)) @ vectors.T @ root.T
+    return out
+
+
+def _inverse(hessian: Array, information: Array) -> Array:
+    """Invert the Hessian; where it is not positive, the Gauss-Newton part with a floor."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
+    for matrix in (hessian, information):
+        values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
+        if values[0] > 1e-12 * values[-1]:
+            break
+    values = np.maximum(values, 1e-12 * max(values[-1], 1e-30))
+    inverse: Array = (vectors / values) @ vectors.T * np.outer(scale, scale)
+    return inverse
