@@ -18,6 +18,7 @@ from rpgd_ros.core.lens import Lens, Model, distort, undistort
 PINHOLE_LENGTHS = (0, 4, 5, 8)
 EQUIDISTANT_LENGTHS = (0, 4)
 MIN_DEPTH = 1e-6  # metres in front of the camera: nearer, the quotient x / z has no digits left
+LARGEST_RADIUS2 = 1e24  # of x / z and y / z, squared: 1000 km at that depth; beyond it is damage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,9 +82,11 @@ class Camera:
         """
         z = x_camera[..., 2]
         in_front = z > MIN_DEPTH
-        iz = 1.0 / np.where(in_front, z, 1.0)
-        x, y = x_camera[..., 0] * iz, x_camera[..., 1] * iz
-        in_front &= x * x + y * y < self.lens.max_radius**2
+        with np.errstate(over='ignore', invalid='ignore'):  # damaged numbers end as NaN
+            iz = 1.0 / np.where(in_front, z, 1.0)
+            x, y = x_camera[..., 0] * iz, x_camera[..., 1] * iz
+            radius2 = x * x + y * y
+        in_front &= radius2 < min(self.lens.max_radius**2, LARGEST_RADIUS2)
         x, y = np.where(in_front, x, np.nan), np.where(in_front, y, np.nan)
         ud, vd = distort(self.lens, x, y)
         fx, fy, cx, cy = self.pinhole

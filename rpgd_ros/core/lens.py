@@ -184,7 +184,7 @@ def _undistort_equidistant(d: Coefficients, seen: Array) -> Array:
     good &= (theta >= 0.0) & (theta < 0.5 * np.pi)  # behind the image plane x / z has no meaning
     scale = np.tan(np.where(good, theta, 0.0)) / np.maximum(theta_seen, 1e-12)
     scale[theta_seen < 1e-12] = 1.0
-    return np.where(good[:, None], seen * scale[:, None], np.nan)
+    return np.where(good[:, None], seen, np.nan) * scale[:, None]
 
 
 def _fold_radius(lens: Lens) -> float:
