@@ -96,7 +96,7 @@ def test_the_transform_is_found_and_printed(walk: Walk, run: Run) -> None:
         assert numbers is not None
         np.testing.assert_allclose([float(n) for n in numbers[1].split()], expected, atol=2e-3)
     for camera in ('cam0', 'cam1', 'cam2', 'cam3'):
-        assert len(re.findall(rf'^{camera} ', outcome.out, re.MULTILINE)) == 2
+        assert len(re.findall(rf'^{camera} ', outcome.out, re.MULTILINE)) >= 2
     assert 'world <- mocap' in outcome.out
 
 

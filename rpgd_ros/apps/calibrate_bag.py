@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -58,8 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
     arguments = _parser().parse_args(argv)
     try:
-        with stop_on_signals():
-            return _run(arguments, Console(), Console(stderr=True))
+        with stop_on_signals() as stop:
+            return _run(arguments, Console(), Console(stderr=True), stop)
     except RpgdError as error:
         is_input = isinstance(error, InputError) or error.reason in INPUT_REASONS
         verdict = 'bad input' if is_input else 'refused'
@@ -91,13 +92,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(arguments: argparse.Namespace, out: Console, err: Console) -> int:
+def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event) -> int:
     output: Path | None = arguments.output
     if output and not output.parent.is_dir():
         msg = f'{output.parent} is no folder: create it first'
         raise InputError(Reason.NOT_WRITABLE, msg)
     rig = _chosen(read_rig(arguments.rig), arguments.cameras)
-    with open_recording(arguments.bag, rig) as recording, _bar(err) as progress:
+    with open_recording(arguments.bag, rig) as recording, _bar(err, stop) as progress:
         for warning in recording.warnings:
             _tell(err, f'warning: {warning}')
         session = Session(rig, _config(recording))
@@ -106,7 +107,7 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console) -> int:
     print_streams(out, session)
     if problem:
         _tell(err, f'partial data: {problem}')
-    with _bar(err) as progress:
+    with _bar(err, stop) as progress:
         calibration = solve(session.snapshot(), progress=progress)
     if problem:
         warnings = (*calibration.warnings, f'found from partial data: {problem}')
@@ -160,12 +161,18 @@ def _read(recording: Recording, session: Session, progress: Callable[[str, float
 
 
 @contextmanager
-def _bar(console: Console) -> Iterator[Callable[[str, float], None]]:
-    """Show one bar, named after the stage that reports."""
+def _bar(console: Console, stop: Event) -> Iterator[Callable[[str, float], None]]:
+    """Show one bar, named after the stage that reports; end the run after a signal."""
     columns = (TextColumn('{task.description:>12}'), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task('', total=1.0)
-        yield lambda stage, share: progress.update(task, description=stage, completed=share)
+
+        def tell(stage: str, share: float) -> None:
+            if stop.is_set():
+                raise Stopped
+            progress.update(task, description=stage, completed=share)
+
+        yield tell
 
 
 if __name__ == '__main__':

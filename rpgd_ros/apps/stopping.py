@@ -6,6 +6,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Event
 from types import FrameType
 
 EXIT_STOPPED = 130  # what a shell makes of SIGINT
@@ -20,17 +21,22 @@ class Stopped(BaseException):
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[None]:
-    """Turn the first SIGINT or SIGTERM into `Stopped`; a second one does not cut the clean-up."""
+def stop_on_signals() -> Iterator[Event]:
+    """Turn SIGINT or SIGTERM into `Stopped`; a second one does not cut the clean-up.
 
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        for number in before:
-            signal.signal(number, signal.SIG_IGN)
-        raise Stopped
+    Python drops an exception that arrives within a destructor or a callback of C code. The event
+    is set all the same: look at it from time to time.
+    """
+    stop = Event()
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    def note(_number: int, _frame: FrameType | None) -> None:
+        if not stop.is_set():
+            stop.set()
+            raise Stopped
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield stop
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
