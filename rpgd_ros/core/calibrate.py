@@ -117,6 +117,15 @@ def calibrate(
         sights, descent, loss, threshold_px=threshold_px, centroid=centroid, clocks=clocks,
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
     )  # fmt: skip
+    _pass_gates(sights, calibration, rival_ratio, run)
+    return calibration
+
+
+def _pass_gates(
+    sights: Sequence[Sight], calibration: Calibration, rival_ratio: float, run: _Run
+) -> None:
+    """Raise when nobody should use the calibration, naming the cause where it is known."""
+    config = calibration.config
     refuse_swapped(sights, calibration)
     try:
         refuse(calibration, config.accept, motion_m(sights))
@@ -128,7 +137,6 @@ def calibrate(
                 Reason.MIRRORED_AXES, MIRRORED, calibration=calibration
             ) from refusal
         raise
-    return calibration
 
 
 def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight]:
