@@ -19,18 +19,22 @@ class _Noisy:
         signal.raise_signal(signal.SIGINT)
 
 
+def interrupted_twice(number: int) -> None:
+    """Be interrupted, and again within the clean-up, which must come to its end."""
+    try:
+        signal.raise_signal(number)
+    finally:
+        signal.raise_signal(number)
+
+
 @pytest.mark.parametrize('number', SIGNALS)
 def test_the_first_signal_stops_and_the_second_does_not(number: signal.Signals) -> None:
     """The clean-up that the first one started is not cut."""
-    cleaned = False
-    with stop_on_signals() as stop, pytest.raises(Stopped):
-        try:
-            signal.raise_signal(number)
-        finally:
-            signal.raise_signal(number)
-            cleaned = True
-    assert cleaned
-    assert stop.is_set()
+    with stop_on_signals() as stop:
+        with pytest.raises(Stopped) as stopped:
+            interrupted_twice(number)
+        assert stopped.value.__context__ is None  # no second one was raised on top of it
+        assert stop.is_set()
 
 
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnraisableExceptionWarning')
