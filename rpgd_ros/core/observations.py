@@ -12,6 +12,8 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 
 NS_PER_S = 1_000_000_000
+LARGEST_STAMP_S = 9e9  # the year 2255, and what 64 bits of nanoseconds hold
+LOWEST_FPS, HIGHEST_FPS = 1e-3, 1e6  # a frame a quarter of an hour, a frame a microsecond
 LARGEST_COORDINATE = 1e6  # metres or pixels; beyond it a number is damage, not data
 
 
@@ -74,11 +76,29 @@ class Observations:
         mocap: The MoCap track, or None where no time is known.
         joint_names: (J,) names for reports; None where unknown.
 
+    Raises:
+        InputError: Views that do not fit each other, joint names that are not one per joint.
+
     """
 
     views: tuple[View, ...]
     mocap: MocapTrack | None = None
     joint_names: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Check once, at the border, so that no sum over the data needs to."""
+        for number, view in enumerate(self.views):
+            shape = (view.uv.shape[0], self.n_joints)
+            if view.uv.shape != (*shape, 2) or view.x_mocap.shape != (*shape, 3):
+                msg = (
+                    f'view {number} has skeletons {view.x_mocap.shape} and keypoints '
+                    f'{view.uv.shape}, need (F, {self.n_joints}, 3) and (F, {self.n_joints}, 2)'
+                )
+                raise InputError(Reason.BAD_INPUT, msg)
+        names = self.joint_names
+        if names is not None and self.views and len(set(names)) != self.n_joints:
+            msg = f'{len(set(names))} different joint names for {self.n_joints} joints'
+            raise InputError(Reason.BAD_INPUT, msg)
 
     @property
     def n_joints(self) -> int:
@@ -114,9 +134,6 @@ class Observations:
         pixels = np.asarray(uv, dtype=np.float64)
         scores = None if confidence is None else np.asarray(confidence, dtype=np.float64)
         _check_shapes(x, pixels, scores)
-        if joint_names is not None and len(joint_names) != x.shape[1]:
-            msg = f'{len(joint_names)} joint names for {x.shape[1]} joints'
-            raise InputError(Reason.BAD_INPUT, msg)
         stamp_ns = _stamps_ns(len(x), fps, stamps)
         views = tuple(
             View(stamp_ns, x, pixels[v], None if scores is None else scores[v])
@@ -141,13 +158,14 @@ def _check_shapes(x: Array, uv: Array, confidence: NDArray[np.float64] | None) -
 def _stamps_ns(n_frames: int, fps: float | None, stamps: ArrayLike | None) -> IntArray | None:
     if stamps is not None:
         seconds = np.asarray(stamps, dtype=np.float64)
-        if seconds.shape != (n_frames,) or not (np.diff(seconds) > 0.0).all():
+        is_known = bool((np.abs(seconds) < LARGEST_STAMP_S).all())  # False for NaN
+        if seconds.shape != (n_frames,) or not is_known or not (np.diff(seconds) > 0.0).all():
             msg = f'stamps must be ({n_frames},) increasing seconds, got shape {seconds.shape}'
             raise InputError(Reason.BAD_INPUT, msg)
         return np.round(seconds * NS_PER_S).astype(np.int64)
     if fps is None:
         return None
-    if not (np.isfinite(fps) and fps > 0.0):
-        msg = f'fps must be a positive number, got {fps}'
+    if not LOWEST_FPS <= fps <= HIGHEST_FPS:
+        msg = f'fps must be a number from {LOWEST_FPS:g} to {HIGHEST_FPS:g}, got {fps}'
         raise InputError(Reason.BAD_INPUT, msg)
     return np.round(np.arange(n_frames) * (NS_PER_S / fps)).astype(np.int64)
