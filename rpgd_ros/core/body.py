@@ -32,8 +32,7 @@ def check_body(sights: Sequence[Sight]) -> None:
         CalibrationError: NO_DATA, TOO_FEW_POINTS, WRONG_UNIT, DEGENERATE_GEOMETRY.
 
     """
-    seen = [_sampled_joints(s, len(sights)) for s in sights]
-    x = np.concatenate(seen) if seen else np.empty((0, 1, 3))
+    x = np.concatenate([sampled_joints(s, len(sights)) for s in sights])
     there = _finite(x)
     if not there.any():
         msg = 'no correspondence: no joint was seen by MoCap and camera at the same time'
@@ -53,11 +52,17 @@ def check_body(sights: Sequence[Sight]) -> None:
         raise CalibrationError(Reason.DEGENERATE_GEOMETRY, msg)
 
 
-def _sampled_joints(sight: Sight, n_cameras: int) -> Array:
+def sampled_joints(sight: Sight, n_cameras: int) -> Array:
     """(m, J, 3) joints of this camera's part of some frames, NaN where no correspondence is."""
     wanted = max(BODY_FRAMES // n_cameras, BODY_FRAMES_PER_CAMERA)
     view = sight.at_frames(spread(sight.view.n_frames, wanted)).view
-    return np.where(view.seen()[..., None], view.x_mocap, np.nan)
+    seen = view.seen()
+    if seen.any(1).sum() < wanted // 2:
+        # Mostly nobody in view: look for the frames that somebody is.
+        frames = np.flatnonzero(sight.view.seen().any(1))
+        view = sight.at_frames(frames[spread(len(frames), wanted)]).view
+        seen = view.seen()
+    return np.where(seen[..., None], view.x_mocap, np.nan)
 
 
 def _finite(x: Array) -> BoolArray:
@@ -86,7 +91,7 @@ def motion_m(sights: Sequence[Sight]) -> float:
     """Distance that the body covered: diagonal of the box that holds its centre, metres."""
     centres = []
     for sight in sights:
-        x = _sampled_joints(sight, len(sights))
+        x = sampled_joints(sight, len(sights))
         there = _finite(x)
         rows = there.sum(1) >= max(1, 0.5 * there.sum(1).max(initial=0))
         if rows.any():
