@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from rpgd_ros.core.camera import MIN_DEPTH
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import (
     Array,
@@ -204,24 +205,24 @@ def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
     """
     rotvecs: list[Array] = []
     shifts: list[Array] = []
-    camera: list[int] = []
+    source: list[IntArray] = []
     identity = np.eye(3)
     for triplet in triplets[~_degenerate(pool.x_mocap[triplets])]:
-        x, ideal = pool.x_mocap[triplet], pool.ideal[triplet]
-        _, rvecs, tvecs = cv2.solveP3P(
-            x[:, None], ideal[:, None], identity, None, flags=cv2.SOLVEPNP_AP3P
-        )
+        x, ideal = pool.x_mocap[triplet, None], pool.ideal[triplet, None]
+        _, rvecs, tvecs = cv2.solveP3P(x, ideal, identity, None, flags=cv2.SOLVEPNP_AP3P)
         rotvecs += [np.asarray(r, np.float64).ravel() for r in rvecs]
         shifts += [np.asarray(t, np.float64).ravel() for t in tvecs]
-        camera += [int(pool.camera[triplet[0]])] * len(rvecs)
-    if not camera:
+        source += [triplet] * len(rvecs)
+    if not source:
         return np.empty((0, 3, 3)), np.empty((0, 3))
-    r, t, c = np.array(rotvecs), np.array(shifts), np.array(camera)
-    good = np.isfinite(r).all(-1) & np.isfinite(t).all(-1) & (np.abs(t).max(-1) < 1e6)
-    r, t, c = so3_exp(r[good]), t[good], c[good]
+    v, t, triplet = np.array(rotvecs), np.array(shifts), np.array(source)
+    good = np.isfinite(v).all(-1) & np.isfinite(t).all(-1) & (np.abs(t).max(-1) < 1e6)
+    r, t, triplet = so3_exp(v[good]), t[good], triplet[good]
+    depth = (pool.x_mocap[triplet] @ r[:, 2, :, None])[:, :, 0] + t[:, 2:]
+    good = (depth > MIN_DEPTH).all(-1)
+    r, t, c = r[good], t[good], pool.camera[triplet[good, 0]]
     world_R_camera = np.swapaxes(pool.camera_R_world[c], 1, 2)
-    shifted = t - pool.camera_t_world[c]
-    return world_R_camera @ r, (world_R_camera @ shifted[:, :, None])[:, :, 0]
+    return world_R_camera @ r, (world_R_camera @ (t - pool.camera_t_world[c])[..., None])[..., 0]
 
 
 def rival_ratio(pool: Pool, candidates: Sequence[Candidate]) -> float:
@@ -248,7 +249,7 @@ def _degenerate(x: Array) -> BoolArray:
     u, v = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
     area2 = (np.cross(u, v) ** 2).sum(-1)
     longest2 = np.maximum.reduce([(side**2).sum(-1) for side in (u, v, v - u)])
-    out: BoolArray = area2 < 1e-4 * longest2**2
+    out: BoolArray = area2 <= 1e-4 * longest2**2  # equal where all three are one point
     return out
 
 
