@@ -65,7 +65,7 @@ def descend(
         pose: Start.
         centroid_mocap: (3,) centre of the body, metres: the pivot of the steps.
         loss: Loss of the squared residual; its curvature is that of a likelihood.
-        max_steps: Most passes over the data.
+        max_steps: Most steps tried.
         check: Called with the fraction done; raises to end the run.
 
     Returns:
@@ -79,7 +79,7 @@ def descend(
         check(step / max_steps)
         delta, decrement = newton_step(normal.hessian, normal.information, normal.gradient)
         moved = apply_delta(pose, shrink * delta, pivot)
-        if (decrement < GOOD_STEP and shrink == 1.0) or step == max_steps:
+        if decrement < GOOD_STEP and shrink == 1.0:
             return moved, normal
         there_pivot = moved @ centroid_mocap
         there = normal_equations(sights, moved, there_pivot, loss)
