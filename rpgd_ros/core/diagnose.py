@@ -77,9 +77,11 @@ def swapped_joints(
     hits, counts = 0.0, 0.0
     for sight in sights:
         part = sight.at_frames(spread(sight.view.n_frames, SWAP_FRAMES))
-        projected = part.camera.project_camera((part.camera_T_world @ pose) @ part.view.x_mocap)
+        seen = part.view.seen()[..., None]
+        x, uv = np.where(seen, part.view.x_mocap, np.nan), np.where(seen, part.view.uv, np.nan)
+        projected = part.camera.project_camera((part.camera_T_world @ pose) @ x)
         # (F, keypoint, projection): who lies on whom.
-        apart = part.view.uv[:, :, None] - projected[:, None]
+        apart = uv[:, :, None] - projected[:, None]
         distance = np.hypot(apart[..., 0], apart[..., 1])
         hits = hits + (distance < threshold_px).sum(0)
         counts = counts + np.isfinite(distance).sum(0)

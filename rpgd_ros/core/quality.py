@@ -83,7 +83,7 @@ def _complaints(
     sigma_deg, sigma_m = c.worst_sigma
     advice = 'Walk further, and nearer to the cameras'
     yield (
-        sigma_deg > gates.max_sigma_deg,
+        not sigma_deg <= gates.max_sigma_deg,  # NaN is no accuracy
         Reason.UNCERTAIN,
         (
             f'the rotation is known to {sigma_deg:.2f} deg only, need '
@@ -91,7 +91,7 @@ def _complaints(
         ),
     )
     yield (
-        sigma_m > gates.max_sigma_m,
+        not sigma_m <= gates.max_sigma_m,
         Reason.UNCERTAIN,
         (
             f'the position is known to {1000 * sigma_m:.0f} mm only, need '
