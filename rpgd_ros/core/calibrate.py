@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rpgd_ros.core.body import check_body, motion_m
+from rpgd_ros.core.body import check_body, motion_m, sampled_joints
 from rpgd_ros.core.clocks import Clocks, set_clocks
 from rpgd_ros.core.config import (
     PAPER_RANSAC_FRAMES,
@@ -54,10 +54,13 @@ class _Run:
 
     def check(self, stage: str) -> Callable[[float], None]:
         """Return what a stage calls with its fraction done."""
+        furthest = 0.0
 
         def tick(fraction: float) -> None:
+            nonlocal furthest
+            furthest = min(max(furthest, fraction), 1.0)  # a stage may walk over the data twice
             if self.progress is not None:
-                self.progress(stage, min(fraction, 1.0))
+                self.progress(stage, furthest)
             if self.should_stop is not None and self.should_stop():
                 msg = f'cancelled during {stage}'
                 raise CalibrationError(Reason.CANCELLED, msg)
@@ -144,6 +147,9 @@ def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight
     if len(cameras) != len(observations.views):
         msg = f'{len(cameras)} cameras for {len(observations.views)} views'
         raise InputError(Reason.BAD_INPUT, msg)
+    if len({c.name for c in cameras}) < len(cameras):
+        msg = f'cameras need different names, got {", ".join(c.name for c in cameras)}'
+        raise InputError(Reason.BAD_INPUT, msg)
     blind = [c.name for c in cameras if c.camera_T_world is None]
     if blind and len(cameras) > 1:
         msg = f'no extrinsics for {", ".join(blind)}: each of several cameras needs camera_T_world'
@@ -157,11 +163,9 @@ def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight
 
 
 def _centroid(sights: Sequence[Sight]) -> Array:
-    """(3,) centre of the joints of some frames, metres: the pivot of all steps."""
-    x = np.concatenate(
-        [s.view.x_mocap[spread(s.view.n_frames, 100)].reshape(-1, 3) for s in sights]
-    )
-    centre: Array = np.median(x[(np.abs(x) < 1e3).all(-1)], axis=0)
+    """(3,) centre of the observed joints, metres: the pivot of all steps."""
+    x = np.concatenate([sampled_joints(s, len(sights)).reshape(-1, 3) for s in sights])
+    centre: Array = np.median(x[np.isfinite(x).all(-1)], axis=0)
     return centre
 
 
