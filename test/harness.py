@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -16,22 +14,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parent.parent
-DOMAINS = 100  # ROS domain ids whose ports stay below the ephemeral ones of Linux
-_next_domain = itertools.count(os.getpid() * 7)
-
-
-def free_domain() -> int:
-    """Return a ROS domain id that nobody on this machine uses, another one at each call."""
-    for number in itertools.islice(_next_domain, DOMAINS):
-        domain = 1 + number % DOMAINS
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(('', 7410 + 250 * domain))  # of a domain's first participant
-            except OSError:
-                continue
-        return domain
-    msg = 'every ROS domain id is in use'
-    raise RuntimeError(msg)
 
 
 def ros_environment(domain: int, **extra: str) -> dict[str, str]:

@@ -3,19 +3,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness import Child, free_domain, ros_environment, running
+from harness import Child, ros_environment, running
 from ros_scene import Scene
+from std_srvs.srv import Trigger
 
+from rpgd_ros.io.rig import read_rig
+from rpgd_ros.ros.client import NODE, CalibratorClient
+from rpgd_ros.ros.domain import free_domain
 from rpgd_ros.ros.player import Peer, Timed
 
-NODE = '/rpgd_calibrator'
 CALIBRATOR = ['-m', 'rpgd_ros.apps.calibrator']
 WAIT_S = 20.0  # of a machine that does other things too
 
@@ -26,6 +28,7 @@ class Live:
 
     child: Child
     peer: Peer
+    client: CalibratorClient
 
     def wait_until(self, what: str, condition: Any, *, seconds: float = WAIT_S) -> None:
         """Wait for a condition; fail with what was waited for and what the node said."""
@@ -49,17 +52,19 @@ class Live:
 
     def received(self) -> dict[str, int]:
         """Return how many messages of each topic the node has counted."""
-        counts = {}
-        for topic in self.peer.advertised:
-            name = 'mocap' if topic.startswith('mocap') else f'camera {topic.split("/")[0]}'
-            counts[topic] = int(self.peer.diagnostics(name).get('received', '-1'))
-        return counts
+        return self.client.received()
 
     def calibrate(self) -> tuple[bool, dict[str, Any]]:
         """Call ~/calibrate and return its success and its answer."""
-        answer = self.peer.call(f'{NODE}/calibrate', seconds=WAIT_S)
+        called = self.client.calibrate(seconds=WAIT_S)
+        assert called is not None, self.child.output
+        return called
+
+    def call(self, service: str) -> Trigger.Response:
+        """Call another Trigger service of the node and return its answer."""
+        answer = self.peer.call(f'{NODE}/{service}', seconds=WAIT_S)
         assert answer is not None, self.child.output
-        return answer.success, json.loads(answer.message)
+        return answer
 
     def latched(self, topic: str, msg_type: type) -> Any:
         """Return the newest message of a latched topic of the node."""
@@ -87,6 +92,8 @@ def live(rig: Path, *parameters: str) -> Iterator[Live]:
         *parameters,
     )
     arguments = [*CALIBRATOR, '--ros-args', *(word for p in given for word in ('-p', p))]
-    with running(arguments, ros_environment(domain)) as child, Peer('peer', domain_id=domain) as peer:
-        peer.listen_diagnostics()
-        yield Live(child, peer)
+    with (
+        running(arguments, ros_environment(domain)) as child,
+        Peer('peer', domain_id=domain) as peer,
+    ):
+        yield Live(child, peer, CalibratorClient(peer, read_rig(rig)))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from harness import ros_environment, running
-from ros_live import NODE, WAIT_S, Live, live
+from ros_live import WAIT_S, Live, live
 from ros_scene import MOCAP_FRAME, WORLD_FRAME, Scene, make_scene
 from scenes import errors
 from std_msgs.msg import Float64, String
@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool
 
 from rpgd_ros.core import RigidTransform
 from rpgd_ros.io.result_file import read_result
+from rpgd_ros.ros.client import NODE
 
 
 @pytest.fixture(scope='module')
@@ -152,15 +153,16 @@ def test_refusal_leaves_the_published_transform_alone(walk: Scene, rig: Path) ->
         node.play(walk)
         assert node.calibrate()[0]
         before = bits(node.latched('transform', TransformStamped))
-        assert node.peer.call(f'{NODE}/reset', seconds=WAIT_S).success
+        assert node.call('reset').success
         assert node.calibrate()[1]['reason'] == 'no_data'
         assert bits(node.latched('transform', TransformStamped)) == before
         kept = (rig.parent / 'result.yaml').read_bytes()
-        assert node.peer.call(f'{NODE}/save', seconds=WAIT_S).success
+        assert node.call('save').success
         again = (rig.parent / 'result.yaml').read_bytes()
-        assert kept.split(b'stamp_ns')[1].split(b'\n', 1)[1] == again.split(b'stamp_ns')[1].split(
-            b'\n', 1
-        )[1]
+        assert (
+            kept.split(b'stamp_ns')[1].split(b'\n', 1)[1]
+            == again.split(b'stamp_ns')[1].split(b'\n', 1)[1]
+        )
 
 
 def test_second_caller_hears_busy_at_once(walk: Scene, rig: Path) -> None:

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pytest
 import yaml
-from harness import free_domain, ros_environment, running
-from ros_live import CALIBRATOR, NODE, WAIT_S, live
+from harness import ros_environment, running
+from ros_live import CALIBRATOR, WAIT_S, live
 from ros_scene import Scene, make_scene
 from std_msgs.msg import String
 
+from rpgd_ros.ros.client import NODE
+from rpgd_ros.ros.domain import free_domain
 from rpgd_ros.ros.parameters_text import calibrator_yaml
 
 END_S = 2.0  # launch escalates after 5
@@ -51,7 +53,10 @@ def set_to(*parameters: str) -> list[str]:
         (['rig_file:=RIG', 'ransac.threshold_px:=-1.0'], 'ransac.threshold_px: -1.0 is outside'),
         (['rig_file:=RIG', 'ransac.threshold_px:=much'], "need a number, got 'much'"),
         (['rig_file:=RIG', 'accept.min_motion_m:=.nan'], 'accept.min_motion_m: nan is outside'),
-        (['rig_file:=RIG', "cameras:=['cam0', 'cam9']"], "no 'cam9', it has cam0, cam1, cam2, cam3"),
+        (
+            ['rig_file:=RIG', "cameras:=['cam0', 'cam9']"],
+            "no 'cam9', it has cam0, cam1, cam2, cam3",
+        ),
         (['rig_file:=RIG', 'camera.cam9.units:=pixels'], "no camera 'cam9', it has cam0, cam1"),
         (['rig_file:=RIG', 'mocap_frame:=world'], "world_frame and mocap_frame are both 'world'"),
         (['rig_file:=RIG', 'nonsense'], 'the ROS arguments cannot be read'),
@@ -71,13 +76,16 @@ def test_bad_parameters_end_in_one_line_and_code_2(
         ('', 'no rig file: parameter rig_file is not set'),
         ('other_node:\n  ros__parameters:\n    rig_file: rig.yaml\n', 'the name of this node'),
         ('/**:\n  ros__parameters:\n    a: *x\n', 'the ROS arguments cannot be read'),
-        ('/**:\n  ros__parameters:\n    auto:\n      perod_s: 3.0\n', 'did you mean auto.period_s'),
+        (
+            '/**:\n  ros__parameters:\n    auto:\n      perod_s: 3.0\n',
+            'did you mean auto.period_s',
+        ),
     ],
 )
 def test_bad_parameter_files_end_in_one_line_and_code_2(
     tmp_path: Path, text: str, said: str
 ) -> None:
-    """rclpy itself starts happily with an empty file, or with one for another node."""
+    """Without a check rclpy starts happily with an empty file, or with one for another node."""
     path = tmp_path / 'parameters.yaml'
     path.write_text(text)
     assert said in refusal('--ros-args', '--params-file', str(path), home=tmp_path)
@@ -141,7 +149,9 @@ def test_signal_ends_a_running_calibration(walk: Scene, number: signal.Signals) 
         called = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
         assert called is not None
         node.peer.listen(f'{NODE}/status', String)
-        node.wait_until('not running', lambda: 'Calibrating' in str(node.peer.newest(f'{NODE}/status')))
+        node.wait_until(
+            'not running', lambda: 'Calibrating' in str(node.peer.newest(f'{NODE}/status'))
+        )
         start = time.monotonic()
         node.child.process.send_signal(number)
         node.wait_until('no answer', called.done)

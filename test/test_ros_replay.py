@@ -95,9 +95,7 @@ def offline_bits(bag_path: Path, rig_path: Path, config: SessionConfig) -> list[
 
 
 @pytest.mark.parametrize('method', ['default', 'paper'])
-def test_live_equals_replay_bit_for_bit(
-    data: dict[str, Any], tmp_path: Path, method: str
-) -> None:
+def test_live_equals_replay_bit_for_bit(data: dict[str, Any], tmp_path: Path, method: str) -> None:
     """Recorded detections, a bag, the real node: not one bit differs."""
     mocap_T_world = RigidTransform(so3_exp([0.4, -1.1, 0.7]), np.array([1.5, -2.0, 0.3]))
     rig_path, bag_path = tmp_path / 'rig.yaml', tmp_path / 'bag'

@@ -155,7 +155,7 @@ def in_short(calibration: Calibration) -> str:
     """Return the figures of a calibration that a person wants to hear."""
     return (
         f'{calibration.median_px:.1f} px (median), uncertain by '
-        f'{calibration.sigma_rotation_deg:.2f} deg and {calibration.sigma_position_m * 1e3:.0f} mm'
+        f'{calibration.sigma_rotation_deg:.2f} deg and {calibration.sigma_position_m * 1e3:.1f} mm'
     )
 
 

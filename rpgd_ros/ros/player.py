@@ -37,14 +37,22 @@ class Peer:
     Everything happens in the calling thread: messages are taken while `wait_until` runs.
     """
 
-    def __init__(self, name: str, *, domain_id: int | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        *,
+        domain_id: int | None = None,
+        check: Callable[[], None] | None = None,
+    ) -> None:
         """Join the graph.
 
         Args:
             name: Name of the node.
             domain_id: Domain; None = that of the environment.
+            check: Called at every step of a wait and of a replay; ends either by raising.
 
         """
+        self._check = check or (lambda: None)
         self._context = Context()
         self._context.init(domain_id=domain_id)
         self.node = Node(name, context=self._context, start_parameter_services=False)
@@ -86,6 +94,7 @@ class Peer:
         """
         end = time.monotonic() + seconds
         while not condition():
+            self._check()
             left = end - time.monotonic()
             if left <= 0.0:
                 return False
@@ -131,14 +140,14 @@ class Peer:
         messages: Iterable[Timed],
         *,
         rate: float,
-        on_message: Callable[[], None] | None = None,
+        on_sent: Callable[[int], None] | None = None,
     ) -> dict[str, int]:
         """Publish messages at the distances in time at which they were recorded.
 
         Args:
             messages: In the order of their times.
             rate: How many times faster than recorded.
-            on_message: Called after each.
+            on_sent: Told the number of messages sent so far, after each.
 
         Returns:
             Number of messages published by topic.
@@ -146,16 +155,16 @@ class Peer:
         """
         sent = dict.fromkeys(self._publishers, 0)
         start_s, start_ns = time.monotonic(), 0
-        for topic, time_ns, payload in messages:
+        for n_sent, (topic, time_ns, payload) in enumerate(messages, 1):
             start_ns = start_ns or time_ns
             due = start_s + (time_ns - start_ns) / (NS_PER_S * rate)
-            wait = due - time.monotonic()
-            if wait > 0.0:
-                time.sleep(wait)
+            while (wait := due - time.monotonic()) > 0.0:
+                time.sleep(min(wait, SPIN_SECONDS))
+                self._check()
             self._publishers[topic].publish(payload)
             sent[topic] += 1
-            if on_message is not None:
-                on_message()
+            if on_sent is not None:
+                on_sent(n_sent)
         return sent
 
     def listen(self, topic: str, msg_type: type, *, qos: QoSProfile = LATCHED) -> None:
