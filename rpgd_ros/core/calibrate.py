@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rpgd_ros.core.agreement import Disagreement, disagreements, lost_cameras
 from rpgd_ros.core.body import check_body, motion_m, sampled_joints
 from rpgd_ros.core.clocks import Clocks, set_clocks
 from rpgd_ros.core.config import (
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rpgd_ros.core.camera import Camera
+    from rpgd_ros.core.examine import Tally
     from rpgd_ros.core.geometry import Array, RigidTransform
     from rpgd_ros.core.observations import Observations
 
@@ -120,8 +122,31 @@ def calibrate(
         sights, descent, loss, threshold_px=threshold_px, centroid=centroid, clocks=clocks,
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
     )  # fmt: skip
+    moved = {d.camera for d in calibration.disagreements if d.rival is None}
+    if moved and config.rig.on_bumped_camera == 'exclude':
+        kept = [v for v, camera in enumerate(cameras) if camera.name not in moved]
+        views = tuple(observations.views[v] for v in kept)
+        rest = calibrate(
+            [cameras[v] for v in kept], replace(observations, views=views), config=config,
+            seed=seed, progress=progress, should_stop=should_stop, clock=clock,
+        )  # fmt: skip
+        return _with_excluded(rest, calibration, moved)
     _pass_gates(sights, calibration, rival_ratio, run)
     return calibration
+
+
+def _with_excluded(rest: Calibration, whole: Calibration, moved: set[str]) -> Calibration:
+    """Return the solve without the moved cameras, with what was found out about them."""
+    named = tuple(d for d in whole.disagreements if d.camera in moved)
+    fits_of_moved = {name: whole.per_camera[name] for name in whole.per_camera if name in moved}
+    excluded = f'{", ".join(sorted(moved))}: not used for the transform'
+    return replace(
+        rest,
+        disagreements=named + rest.disagreements,
+        per_camera={**rest.per_camera, **fits_of_moved},
+        warnings=(*(d.sentence() for d in named), excluded, *rest.warnings),
+        seconds=whole.seconds + rest.seconds,
+    )
 
 
 def _pass_gates(
@@ -225,6 +250,7 @@ def _report(
     timed = clocks.equations(descent.pose, centroid)
     covariance, over_time = covariances(descent, centroid, variance=variance, timed=timed)
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
+    contradicting = disagreements(sights, descent, centroid)
     names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
     return Calibration(
         world_T_mocap=descent.pose,
@@ -243,6 +269,18 @@ def _report(
         per_joint=fits(counts, names, axis=0),
         config=config,
         time_offset_s=clocks.offsets(timed),
-        warnings=clocks.warnings,
+        disagreements=tuple(contradicting),
+        warnings=(*clocks.warnings, *_camera_warnings(sights, counts, contradicting)),
         seconds=seconds,
     )
+
+
+def _camera_warnings(
+    sights: Sequence[Sight], counts: Tally, contradicting: Sequence[Disagreement]
+) -> list[str]:
+    lost = lost_cameras([s.camera.name for s in sights], counts)
+    return [d.sentence() for d in contradicting] + [
+        f'camera {name} follows something else in {100 * share:.0f} % of its frames. '
+        'Check that its detector picks the person with the MoCap skeleton'
+        for name, share in lost
+    ]

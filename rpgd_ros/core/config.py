@@ -161,6 +161,16 @@ class TimeConfig(Stage):
 
 
 @dataclass(frozen=True)
+class RigConfig(Stage):
+    """What becomes of a camera that contradicts the others."""
+
+    on_bumped_camera: Literal['name', 'exclude'] = setting(
+        'name', 'Name a camera that was moved, or also solve without it',
+        choices=('name', 'exclude'),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class AcceptConfig(Stage):
     """Gates between a pose and an accepted calibration."""
 
@@ -202,6 +212,7 @@ class CalibrationConfig:
         ransac: Robust start.
         refine: Refinement.
         time: Offset between the clocks.
+        rig: Cameras that contradict the others.
         accept: Gates.
         max_seconds: Time limit of one run; 0 = none.
 
@@ -210,6 +221,7 @@ class CalibrationConfig:
     ransac: RansacConfig = field(default_factory=RansacConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     time: TimeConfig = field(default_factory=TimeConfig)
+    rig: RigConfig = field(default_factory=RigConfig)
     accept: AcceptConfig = field(default_factory=AcceptConfig)
     max_seconds: float = 0.0
 
@@ -229,7 +241,10 @@ class CalibrationConfig:
     @classmethod
     def thorough(cls) -> Self:
         """Return the settings of the node and of `calibrate_bag`."""
-        return cls(time=TimeConfig(estimate_offset='per_camera'))
+        return cls(
+            time=TimeConfig(estimate_offset='per_camera'),
+            rig=RigConfig(on_bumped_camera='exclude'),
+        )
 
     def with_stage(self, name: str, **changes: Any) -> Self:
         """Return a copy with fields of one stage changed."""

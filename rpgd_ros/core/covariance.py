@@ -37,7 +37,7 @@ def covariances(
             of the offsets is then not known of the pose.
 
     """
-    inverse = _inverse(descent.normal.hessian, descent.normal.information)
+    inverse = invert(descent.normal.hessian, descent.normal.information)
     seen = descent.examination
     # From the pivot's displacement d to the translation: d_t = d + lever x w.
     x, y, z = descent.pose.rotation @ centroid_mocap
@@ -48,8 +48,8 @@ def covariances(
         out: Array = to_origin @ about_pivot @ to_origin.T
         return 0.5 * (out + out.T)
 
-    by_joint = inverse @ _spread_between(seen.joint_scores) @ inverse
-    by_time = inverse @ _spread_between(seen.time_scores) @ inverse
+    by_joint = inverse @ spread_between(seen.joint_scores) @ inverse
+    by_time = inverse @ spread_between(seen.time_scores) @ inverse
     whole = larger(variance * inverse, by_joint) if timed is None else _timed_covariance(timed)
     return moved(whole[:6, :6]), moved(by_time)
 
@@ -62,12 +62,12 @@ def offset_sigmas(timed: TimedNormal) -> Array:
 
 def _timed_covariance(timed: TimedNormal) -> Array:
     """Covariance of pose and offsets, as in `covariances`."""
-    inverse = _inverse(timed.hessian, timed.information)
-    return larger(inverse, inverse @ _spread_between(timed.joint_scores) @ inverse)
+    inverse = invert(timed.hessian, timed.information)
+    return larger(inverse, inverse @ spread_between(timed.joint_scores) @ inverse)
 
 
-def _spread_between(scores: Array) -> Array:
-    """(6, 6) covariance of the sum of independent groups, from the scores (groups, 6)."""
+def spread_between(scores: Array) -> Array:
+    """Return the (p, p) covariance of the sum of independent groups, from scores (groups, p)."""
     used = scores[np.any(scores != 0.0, axis=1)]
     apart = used - used.mean(0) if len(used) else used
     spread: Array = apart.T @ apart * (len(used) / max(len(used) - 1, 1))
@@ -83,7 +83,7 @@ def larger(a: Array, b: Array) -> Array:
     return out
 
 
-def _inverse(hessian: Array, information: Array) -> Array:
+def invert(hessian: Array, information: Array) -> Array:
     """Invert the Hessian; where it is not positive, the Gauss-Newton part with a floor."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
     for matrix in (hessian, information):

@@ -33,6 +33,8 @@ class Tally:
         inlier_error_px: Summed residuals of the inliers, pixels.
         bias_px: (V, J, 2) summed residual vectors of the inliers, pixels.
         frames: (V,) instants with an inlier.
+        seen_frames: (V,) instants with a correspondence.
+        lost_frames: (V,) instants of which most correspondences are no inliers.
         sample_px: Residuals, evenly spread, for quantiles.
 
     """
@@ -43,6 +45,8 @@ class Tally:
     inlier_error_px: Array
     bias_px: Array
     frames: IntArray
+    seen_frames: IntArray
+    lost_frames: IntArray
     sample_px: Array
 
 
@@ -52,16 +56,22 @@ class Examination:
 
     Attributes:
         cost: Summed loss.
-        joint_scores: (J, 6) gradient of the loss, summed per joint.
+        camera_scores: (V, J, 6) gradient of the loss, summed per camera and joint.
         time_scores: (TIME_BLOCKS, 6) the same, summed per stretch of time over all cameras.
         tally: Sums for the figures.
 
     """
 
     cost: float
-    joint_scores: Array
+    camera_scores: Array
     time_scores: Array
     tally: Tally
+
+    @property
+    def joint_scores(self) -> Array:
+        """(J, 6) gradient of the loss, summed per joint."""
+        scores: Array = self.camera_scores.sum(0)
+        return scores
 
     @property
     def gradient(self) -> Array:
@@ -86,17 +96,17 @@ def examine(
     """
     total = sum(s.view.n_frames * s.view.n_joints for s in sights)
     book = _Book(len(sights), sights[0].view.n_joints, max(1, total // QUANTILE_SAMPLE))
-    by_joint, by_time = np.zeros((sights[0].view.n_joints, 6)), np.zeros((TIME_BLOCKS, 6))
-    cost = 0.0
+    n_joints = sights[0].view.n_joints
+    by_camera, by_time, cost = [], np.zeros((TIME_BLOCKS, 6)), 0.0
     for v, (sight, block) in enumerate(zip(sights, time_blocks(sights), strict=True)):
         camera_T_mocap = sight.camera_T_world @ pose
-        of_joint, of_time = np.zeros_like(by_joint), np.zeros_like(by_time)
+        of_joint, of_time = np.zeros((n_joints, 6)), np.zeros_like(by_time)
         for frames, (x, uv) in zip(sight.slices(), sight.chunks(), strict=True):
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
             added, weight, _ = loss.evaluate(res)
             cost += added
             pull = slopes.pull(res.du * weight, res.dv * weight)
-            pull = pull.reshape(6, -1, len(by_joint))
+            pull = pull.reshape(6, -1, n_joints)
             of_joint += np.add.reduce(pull, 1).T
             of_frame = np.add.reduce(pull, 2)
             of_time += np.stack(
@@ -104,9 +114,9 @@ def examine(
             )
             book.enter(v, res, threshold_px)
         to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
-        by_joint += of_joint @ to_twist
+        by_camera.append(of_joint @ to_twist)
         by_time += of_time @ to_twist
-    return Examination(cost, by_joint, by_time, book.close())
+    return Examination(cost, np.stack(by_camera), by_time, book.close())
 
 
 def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:
@@ -128,7 +138,7 @@ class _Book:
         shape = (n_cameras, n_joints)
         self._counts = np.zeros((2, *shape), np.int64)
         self._sums = np.zeros((4, *shape))
-        self._frames = np.zeros(n_cameras, np.int64)
+        self._frames = np.zeros((3, n_cameras), np.int64)
         self._sample: list[Column] = []
         self._stride = stride
 
@@ -139,9 +149,15 @@ class _Book:
         kept = slice(None, None, self._stride)
         self._sample.append(r[kept][res.in_view[kept]])
         frames = (-1, self._counts.shape[2])
-        self._counts[0, camera] += np.add.reduce(res.in_view.reshape(frames), 0, dtype=np.int64)
-        self._counts[1, camera] += np.add.reduce(near.reshape(frames), 0, dtype=np.int64)
-        self._frames[camera] += int(np.count_nonzero(near.reshape(frames).any(1)))
+        seen_at, near_at = res.in_view.reshape(frames), near.reshape(frames)
+        self._counts[0, camera] += np.add.reduce(seen_at, 0, dtype=np.int64)
+        self._counts[1, camera] += np.add.reduce(near_at, 0, dtype=np.int64)
+        n_seen, n_near = (np.add.reduce(m, 1, dtype=np.int64) for m in (seen_at, near_at))
+        self._frames[:, camera] += [
+            np.count_nonzero(n_near),
+            np.count_nonzero(n_seen),
+            np.count_nonzero(2 * n_near < n_seen),
+        ]
         columns = (r, r * near, res.du * near, res.dv * near)  # r is zero where not in view
         for k, column in enumerate(columns):
             self._sums[k, camera] += np.add.reduce(column.reshape(frames), 0)
@@ -152,4 +168,5 @@ class _Book:
         bias = np.stack([self._sums[2], self._sums[3]], -1)
         n, n_in = self._counts
         error, error_in = self._sums[:2]
-        return Tally(n, n_in, error, error_in, bias, self._frames, sample)
+        near, seen, lost = self._frames
+        return Tally(n, n_in, error, error_in, bias, near, seen, lost, sample)

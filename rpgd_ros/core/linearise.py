@@ -150,6 +150,8 @@ class Normal(NamedTuple):
         information: (6, 6) its positive part, `sum w J^T J` (Gauss-Newton).
         gradient: (6,) first derivative of the cost.
         cost: Sum of the loss over all seen correspondences.
+        camera_hessian: (V, 6, 6) each camera's part of the Hessian.
+        camera_information: (V, 6, 6) each camera's part of the information.
 
     """
 
@@ -157,6 +159,8 @@ class Normal(NamedTuple):
     information: Array
     gradient: Array
     cost: float
+    camera_hessian: Array
+    camera_information: Array
 
 
 def residuals(
@@ -211,9 +215,9 @@ def normal_equations(
         loss: Loss of the squared residual.
 
     """
-    hessian, information = np.zeros((6, 6)), np.zeros((6, 6))
+    hessian, information = np.zeros((2, len(sights), 6, 6))
     gradient, cost = np.zeros(6), 0.0
-    for sight in sights:
+    for v, sight in enumerate(sights):
         camera_T_mocap = sight.camera_T_world @ world_T_mocap
         info, bend, grad = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
         for x, uv in sight.chunks():
@@ -222,10 +226,10 @@ def normal_equations(
             cost += added
             _accumulate(res, slopes, weight, bending, info, bend, grad)
         to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
-        information += to_twist.T @ info @ to_twist
-        hessian += to_twist.T @ (info - bend) @ to_twist
+        information[v] = to_twist.T @ info @ to_twist
+        hessian[v] = to_twist.T @ (info - bend) @ to_twist
         gradient += to_twist.T @ grad
-    return Normal(hessian, information, gradient, cost)
+    return Normal(hessian.sum(0), information.sum(0), gradient, cost, hessian, information)
 
 
 def _accumulate(

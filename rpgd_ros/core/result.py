@@ -5,11 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rpgd_ros.core.config import CalibrationConfig
 from rpgd_ros.core.geometry import Array, RigidTransform
+
+if TYPE_CHECKING:
+    from rpgd_ros.core.agreement import Disagreement
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +65,7 @@ class Calibration:
         per_camera: Fit by camera name.
         per_joint: Fit by joint name, or number.
         time_offset_s: {camera: (offset, sigma)} where estimated, seconds.
+        disagreements: Cameras that contradict the others, the worst first.
         warnings: Sentences for people.
         config: The settings of the run.
         seconds: Duration of the run.
@@ -83,6 +88,7 @@ class Calibration:
     config: CalibrationConfig
     covariance_over_time: Array = field(default_factory=lambda: np.zeros((6, 6)))
     time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    disagreements: tuple[Disagreement, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
 
