@@ -11,6 +11,7 @@ from typing import Any
 
 from harness import Child, ros_environment, running
 from ros_scene import Scene
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from rpgd_ros.io.rig import read_rig
@@ -65,6 +66,10 @@ class Live:
         answer = self.peer.call(f'{NODE}/{service}', seconds=WAIT_S)
         assert answer is not None, self.child.output
         return answer
+
+    def sentence(self) -> str:
+        """Return what ~/status says now."""
+        return str(self.latched('status', String).data)
 
     def latched(self, topic: str, msg_type: type) -> Any:
         """Return the newest message of a latched topic of the node."""

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from harness import ros_environment, running
-from ros_live import WAIT_S, Live, live
+from ros_live import WAIT_S, live
 from ros_scene import MOCAP_FRAME, WORLD_FRAME, Scene, make_scene
 from scenes import errors
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from rpgd_ros.core import RigidTransform
@@ -172,7 +172,7 @@ def test_second_caller_hears_busy_at_once(walk: Scene, rig: Path) -> None:
         node.play(walk)
         first = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
         assert first is not None
-        node.wait_until('not running', lambda: 'Calibrating' in sentence(node))
+        node.wait_until('not running', lambda: 'Calibrating' in node.sentence())
         success, answer = node.calibrate()
         assert (success, answer['reason']) == (False, 'busy')
         assert not first.done()
@@ -180,20 +180,14 @@ def test_second_caller_hears_busy_at_once(walk: Scene, rig: Path) -> None:
         assert json.loads(first.result().message)['reason'] == 'cancelled'
 
 
-def sentence(node: Live) -> str:
-    """Return what ~/status says now."""
-    message = node.latched('status', String)
-    return str(message.data)
-
-
 def test_status_says_what_is_missing(walk: Scene, rig: Path) -> None:
     """The person in the room needs no diagnostics viewer."""
     with live(rig) as node:
-        assert 'nobody publishes /mocap/skeleton' in sentence(node)
+        assert 'nobody publishes /mocap/skeleton' in node.sentence()
         node.play(walk)
-        node.wait_until('not told', lambda: 'call ~/calibrate' in sentence(node))
+        node.wait_until('not told', lambda: 'call ~/calibrate' in node.sentence())
         node.calibrate()
-        node.wait_until('not told', lambda: 'Calibrated' in sentence(node))
+        node.wait_until('not told', lambda: 'Calibrated' in node.sentence())
 
 
 def test_best_effort_publishers_are_heard(walk: Scene, rig: Path) -> None:

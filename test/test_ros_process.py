@@ -13,7 +13,6 @@ import yaml
 from harness import ros_environment, running
 from ros_live import CALIBRATOR, WAIT_S, live
 from ros_scene import Scene, make_scene
-from std_msgs.msg import String
 
 from rpgd_ros.ros.client import NODE
 from rpgd_ros.ros.domain import free_domain
@@ -148,10 +147,7 @@ def test_signal_ends_a_running_calibration(walk: Scene, number: signal.Signals) 
         node.play(walk)
         called = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
         assert called is not None
-        node.peer.listen(f'{NODE}/status', String)
-        node.wait_until(
-            'not running', lambda: 'Calibrating' in str(node.peer.newest(f'{NODE}/status'))
-        )
+        node.wait_until('not running', lambda: 'Calibrating' in node.sentence())
         start = time.monotonic()
         node.child.process.send_signal(number)
         node.wait_until('no answer', called.done)

@@ -7,7 +7,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from rpgd_ros.core.errors import InputError
 from rpgd_ros.ros.signals import StopFlag
 
 DESCRIPTION = """\
@@ -43,6 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.parse_args(without_ros(arguments))
     stop = StopFlag()  # before the imports that take time: a signal meanwhile is not lost
     try:
+        from rpgd_ros.core.errors import InputError  # noqa: PLC0415
         from rpgd_ros.ros.process import run_node  # noqa: PLC0415
     except ModuleNotFoundError as error:
         print(

@@ -158,17 +158,25 @@ class JointInput:
         if self._subscription is not None:
             # First, because one participant cannot hold two types under one topic name.
             self._node.destroy_subscription(self._subscription)
+            self._subscription = None
         self._msg_type, self._reliability = msg_type, reliability
-        self._subscription = self._node.create_subscription(
-            MESSAGE_CLASSES[msg_type],
-            self.topic,
-            cast('Callable[[Any], None]', self._on_message),
-            QoSProfile(depth=DEPTH, reliability=reliability, durability=DurabilityPolicy.VOLATILE),
-            callback_group=self._group,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible),
-            qos_overriding_options=QoSOverridingOptions(self._overridable()),
-            raw=True,
+        qos = QoSProfile(
+            depth=DEPTH, reliability=reliability, durability=DurabilityPolicy.VOLATILE
         )
+        try:
+            self._subscription = self._node.create_subscription(
+                MESSAGE_CLASSES[msg_type],
+                self.topic,
+                cast('Callable[[Any], None]', self._on_message),
+                qos,
+                callback_group=self._group,
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible),
+                qos_overriding_options=QoSOverridingOptions(self._overridable()),
+                raw=True,
+            )
+        except RuntimeError as error:  # of rcl, for instance: the topic has another type here
+            self._problem = f'{self.topic} cannot be subscribed to as {msg_type}: {error}'
+            self._is_hopeless = True
 
     def _overridable(self) -> list[QoSPolicyKind]:
         # A policy once declared as a parameter keeps its first value: the reliability would no
