@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera calibrations as other tools write them."""
+
+from rpgd_ros.io.camera_files.fields import camera_name
+from rpgd_ros.io.camera_files.reading import FORMATS, CameraFile, parse_cameras, read_cameras
+
+__all__ = ['FORMATS', 'CameraFile', 'camera_name', 'parse_cameras', 'read_cameras']
