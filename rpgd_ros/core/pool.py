@@ -84,7 +84,7 @@ class Pool:
             part = slice(start, stop)
             r = self.camera_R_world[c] @ rotation
             t = translation @ self.camera_R_world[c].T + self.camera_t_world[c]
-            moved = (r.reshape(-1, 3) @ self.x_mocap[part].T).reshape(len(r), 3, -1)
+            moved = (r.reshape(-1, 3) @ self.x_mocap[part].T).reshape(len(r), 3, stop - start)
             moved += t[:, :, None]
             x, y, z = moved[:, 0], moved[:, 1], moved[:, 2]
             behind = z < MIN_DEPTH
