@@ -66,6 +66,12 @@ def test_no_camera_of_an_untouched_rig_is_named(seed: int) -> None:
     assert calibrate(case.cameras, case.observations).disagreements == ()
 
 
+def test_two_seconds_of_film_name_nobody() -> None:
+    """The detector's view of the body has had no time to change."""
+    case = scenes.scene(frames=100, seed=1, bias_m=0.02)
+    assert solved(case, 2, deg=1.0).disagreements == ()
+
+
 def test_of_two_cameras_it_is_one_of_the_two() -> None:
     """Nobody can say which, and neither is thrown out."""
     case = scenes.only(scenes.scene(frames=1500, seed=3), 0, 1)

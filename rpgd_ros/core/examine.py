@@ -57,20 +57,26 @@ class Examination:
     Attributes:
         cost: Summed loss.
         camera_scores: (V, J, 6) gradient of the loss, summed per camera and joint.
-        time_scores: (TIME_BLOCKS, 6) the same, summed per stretch of time over all cameras.
+        camera_time_scores: (V, TIME_BLOCKS, 6) the same per camera and stretch of time.
         tally: Sums for the figures.
 
     """
 
     cost: float
     camera_scores: Array
-    time_scores: Array
+    camera_time_scores: Array
     tally: Tally
 
     @property
     def joint_scores(self) -> Array:
         """(J, 6) gradient of the loss, summed per joint."""
         scores: Array = self.camera_scores.sum(0)
+        return scores
+
+    @property
+    def time_scores(self) -> Array:
+        """(TIME_BLOCKS, 6) gradient of the loss, summed per stretch of time."""
+        scores: Array = self.camera_time_scores.sum(0)
         return scores
 
     @property
@@ -97,10 +103,12 @@ def examine(
     total = sum(s.view.n_frames * s.view.n_joints for s in sights)
     book = _Book(len(sights), sights[0].view.n_joints, max(1, total // QUANTILE_SAMPLE))
     n_joints = sights[0].view.n_joints
-    by_camera, by_time, cost = [], np.zeros((TIME_BLOCKS, 6)), 0.0
+    by_joint: list[Array] = []
+    by_time: list[Array] = []
+    cost = 0.0
     for v, (sight, block) in enumerate(zip(sights, time_blocks(sights), strict=True)):
         camera_T_mocap = sight.camera_T_world @ pose
-        of_joint, of_time = np.zeros((n_joints, 6)), np.zeros_like(by_time)
+        of_joint, of_time = np.zeros((n_joints, 6)), np.zeros((TIME_BLOCKS, 6))
         for frames, (x, uv) in zip(sight.slices(), sight.chunks(), strict=True):
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
             added, weight, _ = loss.evaluate(res)
@@ -114,9 +122,9 @@ def examine(
             )
             book.enter(v, res, threshold_px)
         to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
-        by_camera.append(of_joint @ to_twist)
-        by_time += of_time @ to_twist
-    return Examination(cost, np.stack(by_camera), by_time, book.close())
+        by_joint.append(of_joint @ to_twist)
+        by_time.append(of_time @ to_twist)
+    return Examination(cost, np.stack(by_joint), np.stack(by_time), book.close())
 
 
 def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:
