@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from rpgd_ros.core.examine import Tally
     from rpgd_ros.core.linearise import Sight
 
-# How a detector errs depends on how it sees the body. In less time than this the body hardly turns,
-# and between good cameras of recorded rigs 0.2 to 1.9 deg and 30 to 90 mm were seen.
+# How a detector errs depends on how it sees the body. In less time the body hardly turns, and
+# between good cameras of recorded rigs 0.2 to 1.9 deg and 30 to 90 mm were seen.
 MIN_SECONDS = 5.5
 FRAMES_PER_S = 60.0  # where no time is known
 # A rig calibrated with a wand is no better than this; a smaller move matters to nobody.

@@ -56,7 +56,9 @@ def covariances(
 
 def offset_sigmas(timed: TimedNormal) -> Array:
     """Return the standard deviation of each estimated offset, seconds."""
-    sigma: Array = np.sqrt(np.diag(_timed_covariance(timed))[6:])
+    inverse = invert(timed.hessian, timed.information)
+    by_time = inverse @ spread_between(timed.time_scores) @ inverse
+    sigma: Array = np.sqrt(np.diag(larger(_timed_covariance(timed), by_time))[6:])
     return sigma
 
 

@@ -116,15 +116,17 @@ def examine(
             pull = slopes.pull(res.du * weight, res.dv * weight)
             pull = pull.reshape(6, -1, n_joints)
             of_joint += np.add.reduce(pull, 1).T
-            of_frame = np.add.reduce(pull, 2)
-            of_time += np.stack(
-                [np.bincount(block[frames], row, TIME_BLOCKS) for row in of_frame], 1
-            )
+            of_time += per_block(np.add.reduce(pull, 2), block[frames])
             book.enter(v, res, threshold_px)
         to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
         by_joint.append(of_joint @ to_twist)
         by_time.append(of_time @ to_twist)
     return Examination(cost, np.stack(by_joint), np.stack(by_time), book.close())
+
+
+def per_block(of_frame: Column, block: IntArray) -> Array:
+    """Sum (p, F) over the frames of each stretch of time: (TIME_BLOCKS, p)."""
+    return np.stack([np.bincount(block, row, TIME_BLOCKS) for row in of_frame], 1)
 
 
 def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:

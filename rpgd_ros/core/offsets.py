@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rpgd_ros.core.examine import TIME_BLOCKS, per_block, time_blocks
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.linearise import Sight, apply_delta, linearise, twist_from_delta
 from rpgd_ros.core.noise import Loss, NoiseModel
@@ -38,6 +39,7 @@ class TimedNormal:
         gradient: (p,).
         cost: Sum of the loss.
         joint_scores: (J, p) gradient per joint.
+        time_scores: (TIME_BLOCKS, p) gradient per stretch of time.
 
     """
 
@@ -46,6 +48,7 @@ class TimedNormal:
     gradient: Array
     cost: float
     joint_scores: Array
+    time_scores: Array
 
 
 def shifted(
@@ -91,11 +94,13 @@ def timed_equations(
     """
     p = 6 + max([*column, -1]) + 1
     n_joints = sights[0].view.n_joints
-    hessian, information, gradient = np.zeros((p, p)), np.zeros((p, p)), np.zeros(p)
-    joint_scores, cost = np.zeros((n_joints, p)), 0.0
-    for sight, velocity, number in zip(sights, velocities, column, strict=True):
+    hessian, information = np.zeros((p, p)), np.zeros((p, p))
+    joint_scores, time_scores, cost = np.zeros((n_joints, p)), np.zeros((TIME_BLOCKS, p)), 0.0
+    cameras = zip(sights, velocities, column, time_blocks(sights), strict=True)
+    for sight, velocity, number, block in cameras:
         camera_T_mocap = sight.camera_T_world @ pose
-        info, bend, scores = np.zeros((7, 7)), np.zeros((7, 7)), np.zeros((n_joints, 7))
+        info, bend = np.zeros((7, 7)), np.zeros((7, 7))
+        scores, later = np.zeros((n_joints, 7)), np.zeros((TIME_BLOCKS, 7))
         for frames, (x, uv) in zip(sight.slices(), sight.chunks(), strict=True):
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
             added, weight, bending = loss.evaluate(res)
@@ -106,7 +111,9 @@ def timed_equations(
             # A later offset takes an earlier skeleton: minus the velocity.
             rows = [np.vstack([r, -(r[3:] * drift).sum(0)]) for r in slopes.rows()]
             pull = rows[0] * res.du + rows[1] * res.dv
-            scores += (pull * weight).reshape(7, -1, n_joints).sum(1).T
+            weighted = (pull * weight).reshape(7, -1, n_joints)
+            scores += weighted.sum(1).T
+            later += per_block(weighted.sum(2), block[frames])
             root = np.sqrt(weight)
             for scaled in (rows[0] * root, rows[1] * root):
                 info += scaled @ scaled.T
@@ -120,8 +127,9 @@ def timed_equations(
         information += local.T @ info @ local
         hessian += local.T @ (info - bend) @ local
         joint_scores += scores @ local
+        time_scores += later @ local
     gradient = joint_scores.sum(0)
-    return TimedNormal(hessian, information, gradient, cost, joint_scores)
+    return TimedNormal(hessian, information, gradient, cost, joint_scores, time_scores)
 
 
 def descend_in_time(
