@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-oldest lint bench clean
+.PHONY: help setup demo test test-oldest test-versions lint bench clean
 
 VENV ?= .venv
 VENV_OLDEST ?= .venv-oldest
@@ -65,6 +65,12 @@ test: $(VENV)/.ready
 # The other end of the supported versions, and no ROS: what runs offline must run there too.
 test-oldest: $(VENV_OLDEST)/.ready
 	@$(VENV_OLDEST)/bin/python -m pytest -m 'not packaging' $(ARGS)
+
+# The same answers with the newest and the oldest libraries.
+test-versions: $(VENV)/.ready $(VENV_OLDEST)/.ready
+	@answers=$$(mktemp); trap 'rm -f "$$answers"' EXIT
+	@$(VENV)/bin/python test/converged.py >"$$answers"
+	@$(VENV_OLDEST)/bin/python test/converged.py "$$answers"
 
 lint: $(VENV)/.ready
 	@$(VENV)/bin/ruff check .
