@@ -48,6 +48,8 @@ setup(
         # colcon test looks for pytest here, and runs nothing where it finds none.
         'test': ['pytest>=7.4,<10', 'hypothesis>=6.98,<7'],
         'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<3', 'types-PyYAML>=6.0,<7'],
+        # Readers of the files in which Human3.6M and MPI-INF-3DHP come.
+        'datasets': ['cdflib>=1.3,<2', 'scipy>=1.11,<2'],
         # Solvers that the benchmark compares ours with; it leaves out what is not there.
         'bench': ['poselib>=2.0.5,<3', 'scipy>=1.11,<2'],
         # colcon calls commands of setup.py that setuptools 80 took away.
