@@ -273,6 +273,10 @@ def test_ours_is_compared_on_the_same_problems() -> None:
     assert ours[-2:] == ['', '']
     assert theirs[-2:] == ['0.500', '0.375']
     assert (ours[3], theirs[3]) == ('2/2', '1/2')
+    assert table_lines(bench_compare.robustness(rows, 'a'))[-1][2:] == [
+        '2/2, 2.24 mm, 10.0 ms',
+        '1/2, 2.00 mm (0.500), 30.0 ms (0.375)',
+    ]
     nothing = [row('a', 0, 1.0, 10.0), row('b', 0, 99.0, float('nan'))]
     assert table_lines(bench_compare.accuracy(nothing, 'a'))[-1][3:] == [
         '0/1', '1.000', '1.0000', '-', '-', '-', '-', '-',

@@ -42,15 +42,20 @@ def accuracy(rows: Sequence[Row], ours: str) -> str:
     return markdown(header, lines)
 
 
-def robustness(rows: Sequence[Row]) -> str:
+def robustness(rows: Sequence[Row], ours: str) -> str:
     """Return a table with a line for each kind of problem, and a column for each solver."""
     lines, solvers = [], list(dict.fromkeys(row['solver'] for row in rows))
     for cell in _cells(rows):
         first = next(iter(cell.values()))[0]
         lines.append([first['data'], f'{first["kind"]} {first["ratio"]:g}'])
-        for runs in cell.values():
-            time_ms = figure(_median(_column(runs, 'ms')))
-            lines[-1].append(f'{_count(runs)}, {figure(_rms_error(runs))} mm, {time_ms} ms')
+        for name, runs in cell.items():
+            parts = (
+                f'{figure(_rms_error(runs))} mm',
+                f'{figure(_median(_column(runs, "ms")))} ms',
+            )
+            factors = _factors(cell, ours, name)
+            parts = [f'{p} ({f})' if f else p for p, f in zip(parts, factors, strict=True)]
+            lines[-1].append(', '.join([_count(runs), *parts]))
     return markdown(('data', 'outliers', *solvers), lines)
 
 
