@@ -16,9 +16,10 @@ import numpy as np
 
 from rpgd_ros.core import calibrate
 from rpgd_ros.simulation import twin
+from rpgd_ros.simulation.presets import OutlierKind
 
 TOLERANCE = 1e-6  # of a rotation's elements and of metres: a tenth of the best sigma of the cases
-CASES = (
+CASES: tuple[tuple[str, float, OutlierKind], ...] = (
     ('human36m', 0.0, 'uniform'),
     ('human36m', 0.6, 'mixed'),
     ('mpi_inf_3dhp', 0.3, 'swap'),
