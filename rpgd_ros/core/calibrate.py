@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from rpgd_ros.core.geometry import Array, RigidTransform
     from rpgd_ros.core.observations import Observations
 
+ROUNDING_PX2 = 1e-8  # squared rounding of a residual in single precision: no data are better
+
 
 @dataclass(frozen=True, slots=True)
 class _Run:
@@ -244,9 +246,9 @@ def _report(
     counts = descent.examination.tally
     n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())
     variance = 1.0
-    if isinstance(loss, SquaredLoss):
+    if isinstance(loss, SquaredLoss) and n > 3:
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
-        variance = 2.0 * descent.examination.cost / max(2 * n - 6, 1)
+        variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
     timed = clocks.equations(descent.pose, centroid)
     covariance, over_time = covariances(descent, centroid, variance=variance, timed=timed)
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from rpgd_ros.core.offsets import TimedNormal
     from rpgd_ros.core.refine import Descent
 
+RELATIVE_FLOOR = 1e-12  # of the variances: keeps what invert floored factorable after rounding
+
 
 def covariances(
     descent: Descent,
@@ -78,7 +80,7 @@ def spread_between(scores: Array) -> Array:
 
 def larger(a: Array, b: Array) -> Array:
     """Return the smallest covariance that is at least `a` everywhere and `b` where b exceeds a."""
-    root = np.linalg.cholesky(a)
+    root = np.linalg.cholesky(a + RELATIVE_FLOOR * np.diag(np.diag(a)))
     inverse = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse @ b @ inverse.T)
     out: Array = root @ (vectors * np.maximum(values, 1.0)) @ vectors.T @ root.T

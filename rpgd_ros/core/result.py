@@ -100,7 +100,7 @@ class Calibration:
     @property
     def sigma_position_m(self) -> float:
         """Standard deviation of the body's centroid (root of the summed variances), metres."""
-        return float(np.sqrt(np.trace(self.centroid_covariance)))
+        return _root_trace(self.centroid_covariance)
 
     @property
     def centroid_covariance(self) -> Array:
@@ -114,10 +114,10 @@ class Calibration:
     @property
     def worst_sigma(self) -> tuple[float, float]:
         """The larger sigma of both covariances: rotation in degrees, centroid in metres."""
-        over_time = np.sqrt(np.trace(self._at_centroid(self.covariance_over_time)))
+        over_time = _root_trace(self._at_centroid(self.covariance_over_time))
         return (
             max(self.sigma_rotation_deg, _rotation_deg(self.covariance_over_time)),
-            max(self.sigma_position_m, float(over_time)),
+            max(self.sigma_position_m, over_time),
         )
 
     def _at_centroid(self, covariance: Array) -> Array:
@@ -128,4 +128,10 @@ class Calibration:
 
 
 def _rotation_deg(covariance: Array) -> float:
-    return float(np.degrees(np.sqrt(np.trace(covariance[:3, :3]))))
+    return float(np.degrees(_root_trace(covariance[:3, :3])))
+
+
+def _root_trace(covariance: Array) -> float:
+    """Root of the summed variances; infinite where a covariance has lost all its digits."""
+    total = float(np.trace(covariance))
+    return float(np.sqrt(total)) if total >= 0.0 else np.inf
