@@ -19,7 +19,8 @@ from rpgd_ros.core.geometry import (
     euler_zyx_from_rotation,
     euler_zyx_with_derivatives,
 )
-from rpgd_ros.core.linearise import Normal, Sight, apply_delta, linearise, normal_equations
+from rpgd_ros.core.linearise import Sight, linearise
+from rpgd_ros.core.normal import Normal, apply_delta, normal_equations
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -141,7 +142,7 @@ def newton_step(hessian: Array, information: Array, gradient: Array) -> tuple[Ar
         if values[0] > 1e-12 * values[-1]:
             along = vectors.T @ (scale * gradient)
             return -scale * (vectors @ (along / values)), float(along @ (along / values))
-    return np.zeros(6), 0.0  # nothing pulls along some direction: there is no step to take
+    return np.zeros_like(gradient), 0.0  # nothing pulls along some direction: no step to take
 
 
 def published_gradient(
