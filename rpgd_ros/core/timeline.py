@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from rpgd_ros.core.geometry import Array, IntArray
-from rpgd_ros.core.observations import NS_PER_S, MocapTrack
+from rpgd_ros.core.observations import LARGEST_COORDINATE, NS_PER_S, MocapTrack
 
 MAX_GAP_S = 0.1  # a limb swings through 10 cm meanwhile: no curve knows which way it went
 
@@ -22,7 +22,10 @@ class Timeline:
         """Prepare the slopes of a track of two samples or more."""
         self._origin_ns = int(track.stamp_ns[0])
         self._t = self.seconds(track.stamp_ns)
-        self._x = track.x_mocap
+        with np.errstate(invalid='ignore'):
+            whole = np.abs(track.x_mocap).max(-1, keepdims=True) < LARGEST_COORDINATE
+        # A damaged sample would bend the curve between its neighbours, too.
+        self._x = np.where(whole, track.x_mocap, np.nan)
         self._slope = _slopes(self._t, self._x)
 
     def seconds(self, stamp_ns: IntArray) -> Array:
