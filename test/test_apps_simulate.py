@@ -191,3 +191,36 @@ def test_stopped_run_leaves_nothing_behind(
     assert b'nothing was written' in complaint
     assert names_in(tmp_path) == ({'demo'} if forced else set())
     assert {p: p.read_bytes() for p in output.rglob('*') if p.is_file()} == before
+
+
+def test_dataset_is_written_in_its_own_layout(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tree and nothing else; the next command is told."""
+    output = tmp_path / 'twin'
+    options = ['--preset', 'aistpp', '--format', 'dataset', '--sequences', '2', '--seconds', '1']
+    assert simulate.main([*options, '--output', str(output)]) == 0
+    assert names_in(tmp_path) == {'twin'}
+    assert names_in(output) == {'cameras', 'keypoints2d', 'keypoints3d', 'ignore_list.txt'}
+    assert len(names_in(output / 'keypoints2d')) == 2
+    assert f'next: evaluate {output} --dataset aistpp' in capsys.readouterr().out
+    assert simulate.main([*options, '--output', str(output), '--force']) == 2
+    assert len(names_in(output / 'keypoints2d')) == 2
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        (['--preset', 'studio'], 'studio is no dataset'),
+        (['--preset', 'aistpp', '--sequences', '0'], '--sequences must be 1 or more'),
+        (['--preset', 'aistpp', '--force'], 'never datasets'),
+    ],
+)
+def test_dataset_that_cannot_be_is_refused(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is left behind."""
+    line = [*options, '--format', 'dataset', '--output', str(tmp_path / 'twin')]
+    assert simulate.main(line) == 2
+    assert message in capsys.readouterr().err
+    assert names_in(tmp_path) == set()

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import signal
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,14 +16,21 @@ from typing import get_args
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from rpgd_ros.apps.output_folder import check_output, put_in_place, scratch_folder
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.simulation import PRESETS, Corruption, Faults, build_scene, preset, simulate
+from rpgd_ros.simulation.dataset_scenes import TwinPlan
+from rpgd_ros.simulation.dataset_writers import write_twin
 from rpgd_ros.simulation.detector import OUTLIER_KINDS
 from rpgd_ros.simulation.export import BAG, RIG, TRUTH, MocapType, Storage, write_recording
 from rpgd_ros.simulation.motion import MOTIONS
 
 EXIT_DONE, EXIT_BAD_INPUT, EXIT_STOPPED = 0, 2, 130
 STAGES = ('filming', 'writing')
+FILES = (BAG, RIG, TRUTH)
+FINISHED = 'finished'  # folder of the scratch folder that becomes the output
+
+Progression = Callable[[str, float], None]
 
 DESCRIPTION = """\
 Simulate a person who walks through a room before calibrated cameras, seen by a MoCap system and by
@@ -34,14 +39,18 @@ a keypoint detector per camera, and write what both send:
   DIR/bag         rosbag2 with mocap/skeleton, <camera>/keypoints, <camera>/camera_info
   DIR/rig.yaml    the rig file for the calibrator and for calibrate_bag
   DIR/truth.yaml  the transform that a calibration has to find
+
+With --format dataset, write sequences in the layout of the dataset that the preset is a twin of.
 """
 EPILOG = """\
 examples:
   simulate --preset studio --output demo
   simulate --preset kinect --output far --seconds 20 --motion sway   # should be refused
   simulate --preset studio --output bad --outliers 0.4 --kind person --lag 0.02
+  simulate --preset aistpp --format dataset --sequences 20 --seconds 13 --output twin
 then:
   calibrate_bag demo/bag --rig demo/rig.yaml
+  evaluate twin --dataset aistpp
 exit codes: 0 written, 2 bad input, 130 stopped (nothing is left behind)
 """
 
@@ -64,6 +73,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print('simulate: stopped, nothing was written', file=sys.stderr)
         return EXIT_STOPPED
     output = arguments.output
+    if arguments.format == 'dataset':
+        print(f'{output}\nnext: evaluate {output} --dataset {arguments.preset}')
+        return EXIT_DONE
     print(f'{output / BAG}\n{output / RIG}\n{output / TRUTH}')
     print(f'next: calibrate_bag {output / BAG} --rig {output / RIG}')
     return EXIT_DONE
@@ -79,6 +91,10 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add('--preset', required=True, choices=list(PRESETS), help='rig, rates, joints and noise')
     add('--output', required=True, type=Path, metavar='DIR', help='folder to write')
+    text = 'one recording as a bag, or sequences in the layout of a dataset (default bag)'
+    add('--format', choices=('bag', 'dataset'), default='bag', help=text)
+    text = 'how many sequences of a dataset (default 4)'
+    add('--sequences', type=int, default=4, metavar='N', help=text)
     add('--seconds', type=float, default=60.0, help='length (default 60)')
     add('--seed', type=int, default=0, help='the same seed gives the same bits (default 0)')
     add('--motion', choices=MOTIONS, default='walk', help='what the person does (default walk)')
@@ -99,86 +115,76 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace, console: Console, stop: Event) -> None:
     output: Path = arguments.output
-    _check_output(output, is_forced=arguments.force)
+    check_output(output, FILES, is_forced=arguments.force)
     if arguments.seed < 0:
         msg = f'--seed must be 0 or more, got {arguments.seed}'
         raise InputError(Reason.BAD_INPUT, msg)
+    faults = Faults(
+        Corruption(arguments.outliers, arguments.kind),
+        bias_m=arguments.bias,
+        lag_s=arguments.lag,
+    )
+    with scratch_folder(output) as scratch, _bars(console, stop) as progress:
+        if arguments.format == 'dataset':
+            finished = _film_dataset(arguments, faults, scratch, progress)
+        else:
+            finished = _film_bag(arguments, faults, scratch, progress)
+        _put_in_place(finished, output)
+
+
+def _film_bag(
+    arguments: argparse.Namespace, faults: Faults, scratch: Path, progress: Progression
+) -> Path:
+    """Write one recording and return its folder."""
     scene = build_scene(
         preset(arguments.preset),
         arguments.seed,
         seconds=arguments.seconds,
         motion=arguments.motion,
-        faults=Faults(
-            Corruption(arguments.outliers, arguments.kind),
-            bias_m=arguments.bias,
-            lag_s=arguments.lag,
-        ),
+        faults=faults,
     )
-    with _scratch_folder(output) as scratch, _bars(console, stop) as progress:
-        recording = simulate(scene, progress=progress)
-        write_recording(
-            recording,
-            scratch,
-            storage=arguments.storage,
-            mocap_type=arguments.mocap_type,
-            progress=progress,
-        )
-        _put_in_place(scratch, output)
-
-
-def _check_output(output: Path, *, is_forced: bool) -> None:
-    """Refuse to write over anything but, when told so, an older recording."""
-    if not output.parent.is_dir():
-        msg = f'{output.parent} is no folder: create it first'
-        raise InputError(Reason.NOT_WRITABLE, msg)
-    if not (output.exists() or output.is_symlink()):
-        return
-    if not is_forced:
-        msg = f'{output} exists: choose another name, or --force to replace an older recording'
-        raise InputError(Reason.NOT_WRITABLE, msg)
-    if output.is_symlink() or not output.is_dir():
-        msg = f'{output} is no folder: --force replaces older recordings only'
-        raise InputError(Reason.NOT_WRITABLE, msg)
-    foreign = sorted(p.name for p in output.iterdir() if p.name not in {BAG, RIG, TRUTH})
-    if foreign:
-        msg = f'{output} holds {foreign[0][:80]!r}: --force replaces older recordings only'
-        raise InputError(Reason.NOT_WRITABLE, msg)
-
-
-@contextmanager
-def _scratch_folder(output: Path) -> Iterator[Path]:
-    """Give a folder beside the output, and take away whatever is left of it."""
-    try:
-        folder = tempfile.mkdtemp(prefix=f'.{output.name}.', suffix='.tmp', dir=output.parent)
-    except OSError as error:
-        msg = f'{output.parent} cannot be written: {error.strerror or error}'
-        raise InputError(Reason.NOT_WRITABLE, msg) from error
-    try:
-        yield Path(folder)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _put_in_place(scratch: Path, output: Path) -> None:
-    """Rename the finished folder; an older recording goes out with the scratch folder."""
-    finished = scratch / 'finished'
+    recording = simulate(scene, progress=progress)
+    write_recording(
+        recording,
+        scratch,
+        storage=arguments.storage,
+        mocap_type=arguments.mocap_type,
+        progress=progress,
+    )
+    finished = scratch / FINISHED
     finished.mkdir(mode=0o755)
     for name in (BAG, RIG, TRUTH):
         (scratch / name).rename(finished / name)
-    replaced = scratch / 'replaced'
-    try:
-        if output.exists():
-            output.rename(replaced)
-        finished.rename(output)
-    except OSError as error:
-        if replaced.exists() and not output.exists():
-            replaced.rename(output)
-        msg = f'{output} cannot be written: {error.strerror or error}'
-        raise InputError(Reason.NOT_WRITABLE, msg) from error
+    return finished
+
+
+def _film_dataset(
+    arguments: argparse.Namespace, faults: Faults, scratch: Path, progress: Progression
+) -> Path:
+    """Write a tree of sequences and return its folder."""
+    if arguments.force:
+        msg = '--force replaces recordings, never datasets: choose another name'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+    if arguments.sequences < 1:
+        msg = f'--sequences must be 1 or more, got {arguments.sequences}'
+        raise InputError(Reason.BAD_INPUT, msg)
+    plan = TwinPlan(
+        preset(arguments.preset),
+        arguments.sequences,
+        arguments.seconds,
+        arguments.seed,
+        arguments.motion,
+        faults,
+    )
+    finished = scratch / FINISHED
+    finished.mkdir(mode=0o755)
+    write_twin(plan, finished, progress)
+    progress('writing', 1.0)
+    return finished
 
 
 @contextmanager
-def _bars(console: Console, stop: Event) -> Iterator[Callable[[str, float], None]]:
+def _bars(console: Console, stop: Event) -> Iterator[Progression]:
     """Show one bar per stage, and end the run at the next step after a signal."""
     columns = (TextColumn('{task.description:>8}'), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
