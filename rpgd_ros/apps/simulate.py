@@ -16,7 +16,7 @@ from typing import get_args
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from rpgd_ros.apps.output_folder import check_output, put_in_place, scratch_folder
+from rpgd_ros.apps.output_folder import check_output, finish, put_in_place, scratch_folder
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.simulation import PRESETS, Corruption, Faults, build_scene, preset, simulate
 from rpgd_ros.simulation.dataset_scenes import TwinPlan
@@ -28,7 +28,6 @@ from rpgd_ros.simulation.motion import MOTIONS
 EXIT_DONE, EXIT_BAD_INPUT, EXIT_STOPPED = 0, 2, 130
 STAGES = ('filming', 'writing')
 FILES = (BAG, RIG, TRUTH)
-FINISHED = 'finished'  # folder of the scratch folder that becomes the output
 
 Progression = Callable[[str, float], None]
 
@@ -129,7 +128,7 @@ def _run(arguments: argparse.Namespace, console: Console, stop: Event) -> None:
             finished = _film_dataset(arguments, faults, scratch, progress)
         else:
             finished = _film_bag(arguments, faults, scratch, progress)
-        _put_in_place(finished, output)
+        put_in_place(finished, output)
 
 
 def _film_bag(
@@ -151,11 +150,7 @@ def _film_bag(
         mocap_type=arguments.mocap_type,
         progress=progress,
     )
-    finished = scratch / FINISHED
-    finished.mkdir(mode=0o755)
-    for name in (BAG, RIG, TRUTH):
-        (scratch / name).rename(finished / name)
-    return finished
+    return finish(scratch, FILES)
 
 
 def _film_dataset(
@@ -176,8 +171,7 @@ def _film_dataset(
         arguments.motion,
         faults,
     )
-    finished = scratch / FINISHED
-    finished.mkdir(mode=0o755)
+    finished = finish(scratch, ())
     write_twin(plan, finished, progress)
     progress('writing', 1.0)
     return finished
