@@ -37,7 +37,7 @@ def test_another_unit_is_named(shape: str, factor: float, unit: str) -> None:
 
 def test_a_skeleton_of_a_few_centimetres_is_no_person() -> None:
     """Metres read as kilometres, or a toy."""
-    with pytest.raises(CalibrationError, match='the skeleton spans .* m, a person') as refused:
+    with pytest.raises(CalibrationError, match=r'spans .* m, a person 0.5 to 2.5 m') as refused:
         check_body(scaled(scene('human36m', 100, 3), 0.01))
     assert refused.value.reason is Reason.WRONG_UNIT
 
