@@ -49,12 +49,10 @@ def robustness(rows: Sequence[Row], ours: str) -> str:
         first = next(iter(cell.values()))[0]
         lines.append([first['data'], f'{first["kind"]} {first["ratio"]:g}'])
         for name, runs in cell.items():
-            parts = (
-                f'{figure(_rms_error(runs))} mm',
-                f'{figure(_median(_column(runs, "ms")))} ms',
-            )
+            error = f'{figure(_rms_error(runs))} mm'
+            time = f'{figure(_median(_column(runs, "ms")))} ms'
             factors = _factors(cell, ours, name)
-            parts = [f'{p} ({f})' if f else p for p, f in zip(parts, factors, strict=True)]
+            parts = [f'{p} ({f})' if f else p for p, f in zip((error, time), factors, strict=True)]
             lines[-1].append(', '.join([_count(runs), *parts]))
     return markdown(('data', 'outliers', *solvers), lines)
 

@@ -91,7 +91,7 @@ def measure(
         parts.append(ACCURACY.format(seeds=len(seeds), ours=OURS))
         parts.append(accuracy([row for row in rows if not row['ratio']], OURS) + '\n')
     if dirty:
-        parts.append(ROBUSTNESS.format(seeds=len(seeds), frames=min(frames)))
+        parts.append(ROBUSTNESS.format(seeds=len(seeds), frames=min(frames), ours=OURS))
         parts.append(robustness([row for row in rows if row['ratio']], OURS) + '\n')
     return Table('solver', '\n'.join(parts), rows)
 
