@@ -21,7 +21,7 @@ from rpgd_ros.apps.bench_problems import Case, Error, build, cramer_rao, judge
 from rpgd_ros.apps.bench_run import apart, each, figure, markdown, prepare
 from rpgd_ros.core import InputError, RigidTransform, calibrate
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.core.linearise import apply_delta
+from rpgd_ros.core.normal import apply_delta
 from rpgd_ros.simulation import Twin
 
 TINY = ['--seeds', '2', '--frames', '60', '--jobs', '2']
@@ -106,7 +106,7 @@ def test_peer_that_is_not_installed_is_said(
     options = ['--data', 'kinect', '--solvers', name, 'rpgd_ros', '--ratios']
     text, rows = run('solver', *options, folder=tmp_path)
     assert f'{name} was left out: ' in text
-    assert "pip install 'rpgd_ros[bench]'" in text
+    assert "pip install -e '.[bench]'" in text
     assert {row['solver'] for row in rows} == {'rpgd_ros'}
 
 
@@ -315,7 +315,7 @@ def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match='0'):
         bench.main(['--help'])
     said = capsys.readouterr().out
-    for words in ('published', 'honesty', '--seeds 20', "pip install 'rpgd_ros[bench]'"):
+    for words in ('published', 'honesty', '--seeds 20', "pip install -e '.[bench]'"):
         assert words in said
 
 

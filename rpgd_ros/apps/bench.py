@@ -40,13 +40,13 @@ Measure the solver on simulated people whose transform is known, and print table
   honesty    whether the reported covariance says how far off the pose is
 """
 EPILOG = """\
-examples:
+examples, with `bench` for `python -m rpgd_ros.apps.bench`, or make bench ARGS='...':
   bench                                        # all three: eight minutes on two processors
   bench solver --seeds 20 --kinds mixed --ratios 0.5 0.7
   bench solver --data kinect --frames 300 --solvers rpgd_ros poselib-sub-trunc
   bench solver --data human36m --frames 30000 --seeds 3 --ratios
   bench published --data aistpp --output published.md --json published.json
-Peers come with: pip install 'rpgd_ros[bench]'; one that is missing is left out, and said.
+Peers are optional: pip install -e '.[bench]'; one that is missing is left out, and said.
 Times are processor times; compare them within one run only. Progress goes to stderr.
 exit codes: 0 measured, 2 bad input, 130 stopped
 """

@@ -103,9 +103,8 @@ def available(solvers: Sequence[str]) -> tuple[list[str], list[str]]:
         try:
             load(name)
         except ImportError as error:
-            missing.append(
-                f"{name} was left out: {error}. To have it: pip install 'rpgd_ros[bench]'\n"
-            )
+            text = f"{name} was left out: {error}. To have it: pip install -e '.[bench]'\n"
+            missing.append(text)
         else:
             present.append(name)
     return present, missing
