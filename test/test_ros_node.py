@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from harness import ros_environment, running
 from ros_live import WAIT_S, live
@@ -20,7 +21,9 @@ from std_srvs.srv import SetBool
 
 from rpgd_ros.core import RigidTransform
 from rpgd_ros.io.result_file import read_result
+from rpgd_ros.messages import CAMERA_INFO, encode_camera_info, encode_pose_array
 from rpgd_ros.ros.client import NODE
+from rpgd_ros.simulation.export import MOCAP_TOPIC
 
 
 @pytest.fixture(scope='module')
@@ -214,3 +217,51 @@ def test_pause_stops_collecting(walk: Scene, rig: Path) -> None:
         node.wait_until('not paused', paused.done)
         node.send(walk.messages)
         assert node.calibrate()[1]['reason'] == 'no_data'
+
+
+def test_messages_that_cannot_be_used_are_counted_by_reason(walk: Scene, rig: Path) -> None:
+    """Damage, another number of joints and another person's message cost nothing but a count."""
+    with live(rig) as node:
+        node.play(walk)
+        before = node.calibrate()[1]
+        end_ns = walk.messages[-1][1]
+        whole = next(m[2] for m in walk.messages if m[0] == MOCAP_TOPIC)
+        short = encode_pose_array(end_ns, MOCAP_FRAME, np.ones((3, 3)))
+        bad = [whole[:40], whole[:3], bytes(300_000), short]
+        sent = node.peer.play([(MOCAP_TOPIC, end_ns, payload) for payload in bad], rate=1.0)
+        total = sent[MOCAP_TOPIC] + sum(m[0] == MOCAP_TOPIC for m in walk.messages)
+        node.wait_until('not counted', lambda: node.received()[MOCAP_TOPIC] == total)
+        entry = node.peer.diagnostics('mocap')
+        assert int(entry['wrong_joints']) == 1
+        assert int(entry['oversized']) == 1
+        assert int(entry['malformed']) == 2
+        assert node.calibrate()[1]['xyz'] == before['xyz']
+
+
+def test_forced_reliability_that_no_publisher_offers_is_an_error(rig: Path, walk: Scene) -> None:
+    """The topic and the policy are named where somebody looks for them."""
+    override = 'qos_overrides./mocap/skeleton.subscription.reliability:=reliable'
+    with live(rig, override) as node:
+        node.peer.advertise(walk.topics, is_reliable=False)
+        node.wait_until('not told', lambda: 'RELIABILITY' in node.peer.message('mocap') or None)
+        assert '/mocap/skeleton' in node.peer.message('mocap')
+
+
+def test_intrinsics_may_come_as_camera_info(walk: Scene, rig: Path) -> None:
+    """A rig file without K names the topic that has it; until then the reason is told."""
+    tree = yaml.safe_load(rig.read_text())
+    for camera in tree['cameras']:
+        camera['camera_info_topic'] = f'{camera["name"]}/camera_info'
+        for key in ('size', 'matrix', 'distortion_model', 'distortion'):
+            del camera[key]
+    rig.write_text(yaml.safe_dump(tree))
+    with live(rig) as node:
+        node.play(walk)
+        assert node.calibrate()[1]['reason'] == 'missing_intrinsics'
+        infos = [
+            (f'{c.name}/camera_info', 1, encode_camera_info(c, walk.messages[0][1], c.name))
+            for c in walk.recording.cameras
+        ]
+        node.advertise({topic: CAMERA_INFO for topic, _, _ in infos})
+        node.peer.play(infos, rate=1.0)
+        node.wait_until('no intrinsics', lambda: node.calibrate()[0])

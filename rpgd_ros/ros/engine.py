@@ -6,20 +6,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 from rclpy.node import Node
 
 from rpgd_ros.core.errors import RpgdError
 from rpgd_ros.ros.health import in_short
+from rpgd_ros.ros.inputs import LOG_SECONDS
 from rpgd_ros.ros.job import BUSY, STOPPING, Outcome, answer, run
 from rpgd_ros.ros.results import Results
 from rpgd_ros.ros.worker import Worker, attempt
 from rpgd_ros.session import Session, Snapshot
 
 T = TypeVar('T')
-
-LOG_SECONDS = 5.0  # between two log lines of one kind
+P = ParamSpec('P')
 
 
 class Engine:
@@ -31,6 +31,7 @@ class Engine:
         last: How the last run ended, None before the first.
         is_busy: Whether a job is running.
         running: What it does.
+        n_errors: Exceptions that nobody foresaw, each logged.
 
     """
 
@@ -51,6 +52,7 @@ class Engine:
         self.last: Outcome | None = None
         self.is_busy = False
         self.running = ''
+        self.n_errors = 0
         self._node = node
         self._flush = flush
         self._worker = Worker()
@@ -99,11 +101,11 @@ class Engine:
         """
         return self._told(attempt(self.results.load), f'published from {self.results.path}')
 
-    def guarded(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Keep the node alive whatever a callback raises: log it and go on."""
+    def guarded(self, callback: Callable[P, None]) -> Callable[P, None]:
+        """Keep the node alive whatever a callback raises: log it, count it and go on."""
 
-        def call() -> None:
-            raised = attempt(callback)
+        def call(*args: P.args, **keywords: P.kwargs) -> None:
+            raised = attempt(partial(callback, *args, **keywords))
             if isinstance(raised, Exception):
                 self._refusal(raised)
 
@@ -139,6 +141,7 @@ class Engine:
         """Return what is to be said of an exception; log those that nobody foresaw."""
         if isinstance(error, RpgdError):
             return Outcome(error.reason, error.message)
+        self.n_errors += 1
         message = f'internal error, please report it: {type(error).__name__}: {error}'
         self._node.get_logger().error(message, throttle_duration_sec=LOG_SECONDS)
         return Outcome('internal_error', message)

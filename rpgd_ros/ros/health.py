@@ -80,7 +80,7 @@ def _input_status(
 
 
 def calibration_status(
-    last: Outcome | None, accepted: Calibration | None, *, age_s: float
+    last: Outcome | None, accepted: Calibration | None, *, age_s: float, n_errors: int
 ) -> DiagnosticStatus:
     """Return the entry of the calibration.
 
@@ -88,6 +88,7 @@ def calibration_status(
         last: How the last run ended, None before the first.
         accepted: The newest accepted calibration of this process, if any.
         age_s: Time since the published pose was found, NaN where none is published.
+        n_errors: Exceptions that nobody foresaw.
 
     """
     values: dict[str, object] = {
@@ -95,10 +96,13 @@ def calibration_status(
         'solve_ms': math.nan if last is None else last.seconds * 1e3,
         'age_s': age_s,
         'recent_px': math.nan if last is None else last.recent_px,
+        'internal_errors': n_errors,
     }
     if accepted is not None:
         values |= figures(accepted)
     level, message = _verdict(last, is_published=not math.isnan(age_s))
+    if n_errors and level == OK:
+        level, message = WARN, f'{n_errors} internal errors, see the log'
     return status('calibration', level, message, values)
 
 

@@ -22,8 +22,8 @@ from rpgd_ros.core.errors import InputError
 from rpgd_ros.io.rig import Rig
 from rpgd_ros.ros import health
 from rpgd_ros.ros.declare import LiveParameters, declare, given_values
-from rpgd_ros.ros.engine import LOG_SECONDS, Engine
-from rpgd_ros.ros.inputs import InfoInput, JointInput
+from rpgd_ros.ros.engine import Engine
+from rpgd_ros.ros.inputs import LOG_SECONDS, InfoInput, JointInput
 from rpgd_ros.ros.job import answer
 from rpgd_ros.ros.results import Results
 from rpgd_ros.ros.settings import NodeConfig
@@ -79,13 +79,11 @@ class CalibratorNode(Node):
         self._engine.join()
 
     def _open_inputs(self, rig: Rig) -> tuple[list[JointInput], list[InfoInput]]:
-        joints = [JointInput(self, MOCAP, rig.mocap.topic, rig.mocap.type, self._on_joints)]
-        joints += [
-            JointInput(self, c.name, c.keypoints_topic, c.type, self._on_joints)
-            for c in rig.cameras
-        ]
+        take = self._engine.guarded(self._on_joints)
+        joints = [JointInput(self, MOCAP, rig.mocap.topic, rig.mocap.type, take)]
+        joints += [JointInput(self, c.name, c.keypoints_topic, c.type, take) for c in rig.cameras]
         infos = [
-            InfoInput(self, camera, topic, self._on_info)
+            InfoInput(self, camera, topic, self._engine.guarded(self._on_info))
             for topic, camera in self._engine.session.camera_info_topics().items()
         ]
         return joints, infos
@@ -199,7 +197,9 @@ class CalibratorNode(Node):
         age_s = engine.results.age_s
         array = DiagnosticArray(
             status=[
-                health.calibration_status(engine.last, engine.results.accepted, age_s=age_s),
+                health.calibration_status(
+                    engine.last, engine.results.accepted, age_s=age_s, n_errors=engine.n_errors
+                ),
                 *health.input_statuses(engine.session, inputs),
             ]
         )

@@ -16,12 +16,16 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
+from sensor_msgs.msg import CameraInfo
 from std_srvs.srv import Trigger
 
 from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.messages import CAMERA_INFO
 from rpgd_ros.ros.inputs import MESSAGE_CLASSES
 from rpgd_ros.ros.parameters import listed, shown
 from rpgd_ros.ros.transforms import LATCHED
+
+PLAYABLE: dict[str, type] = {**MESSAGE_CLASSES, CAMERA_INFO: CameraInfo}
 
 SPIN_SECONDS = 0.05  # longest time without a look at the caller's condition
 PLAY_DEPTH = 1000  # messages kept for a subscriber that is behind: 1 s at 1000 messages per second
@@ -115,11 +119,11 @@ class Peer:
         policy = ReliabilityPolicy.RELIABLE if is_reliable else ReliabilityPolicy.BEST_EFFORT
         qos = QoSProfile(depth=PLAY_DEPTH, reliability=policy)
         for topic, msg_type in topics.items():
-            if msg_type not in MESSAGE_CLASSES:
-                known = listed(list(MESSAGE_CLASSES))
+            if msg_type not in PLAYABLE:
+                known = listed(list(PLAYABLE))
                 msg = f'{topic}: {shown(msg_type)} cannot be played, only {known}'
                 raise InputError(Reason.BAD_BAG, msg)
-            cls = MESSAGE_CLASSES[msg_type]
+            cls = PLAYABLE[msg_type]
             self._publishers[topic] = self.node.create_publisher(cls, topic, qos)
 
     @property
@@ -190,6 +194,11 @@ class Peer:
         """Return the newest figures of one entry of /diagnostics, {} before the first."""
         status = self._newest.get(f'rpgd_calibrator: {name}')
         return {pair.key: pair.value for pair in status.values} if status else {}
+
+    def message(self, name: str) -> str:
+        """Return the newest sentence of one entry of /diagnostics, '' before the first."""
+        status = self._newest.get(f'rpgd_calibrator: {name}')
+        return str(status.message) if status else ''
 
     def call(self, service: str, *, seconds: float) -> Trigger.Response | None:
         """Call a Trigger service.
