@@ -81,9 +81,9 @@ class Aistpp:
     def read(self, name: str) -> DatasetSequence:
         """Read one sequence; see `Dataset`."""
         check_name(name, self.names)
-        cameras = _cameras(self.folder / 'cameras' / f'{dict(self.settings)[name]}.json')
-        x_world = _skeletons(self.folder / 'keypoints3d' / f'{name}.pkl')
-        path = self.folder / 'keypoints2d' / f'{name}.pkl'
+        setting, skeletons, path = self.files(name)
+        cameras = _cameras(setting)
+        x_world = _skeletons(skeletons)
         arrays = read_arrays(path)
         keypoints = _array(path, arrays, 'keypoints2d', (len(cameras), None, len(JOINTS), 3))
         if keypoints.shape[1] != len(x_world):
@@ -97,6 +97,14 @@ class Aistpp:
             confidence=keypoints[..., 2],
             stamps=_seconds(path, arrays, len(x_world)),
             joint_names=JOINTS,
+        )
+
+    def files(self, name: str) -> tuple[Path, ...]:
+        """Return cameras, 3D and 2D; see `Dataset`."""
+        return (
+            self.folder / 'cameras' / f'{dict(self.settings)[name]}.json',
+            self.folder / 'keypoints3d' / f'{name}.pkl',
+            self.folder / 'keypoints2d' / f'{name}.pkl',
         )
 
     def objection(self, sequence: DatasetSequence) -> str:

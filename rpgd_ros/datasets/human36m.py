@@ -98,18 +98,24 @@ class Human36m:
     def read(self, name: str) -> DatasetSequence:
         """Read one sequence; see `Dataset`."""
         check_name(name, self.names)
-        subject, action = name.split('/')
-        cameras = read_cameras(self.folder / 'metadata.xml', int(subject[1:]))
-        x_world = _pose(self.folder / subject / D3 / f'{action}.cdf', 3) * M_PER_MM
+        metadata, skeletons, *views = self.files(name)
+        cameras = read_cameras(metadata, int(name.partition('/')[0].removeprefix('S')))
+        x_world = _pose(skeletons, 3) * M_PER_MM
         uv = np.empty((len(cameras), *x_world.shape[:2], 2))
-        for row, camera in zip(uv, cameras, strict=True):
-            path = self.folder / subject / D2 / f'{action}.{camera.name}.cdf'
+        for row, path in zip(uv, views, strict=True):
             keypoints = _pose(path, 2)
             if keypoints.shape != row.shape:
                 counts = f'{len(keypoints)} frames, but D3_Positions has {len(x_world)}'
                 raise refusal(path, counts)
             row[:] = keypoints
         return sequence_from_world(name, cameras, x_world, uv, fps=FPS, joint_names=JOINTS)
+
+    def files(self, name: str) -> tuple[Path, ...]:
+        """Return camera parameters, 3D, and 2D per camera; see `Dataset`."""
+        subject, action = name.split('/')
+        place = self.folder / subject
+        views = (place / D2 / f'{action}.{camera}.cdf' for camera in SIZES)
+        return (self.folder / 'metadata.xml', place / D3 / f'{action}.cdf', *views)
 
     def objection(self, sequence: DatasetSequence) -> str:
         """Leave no sequence out; see `Dataset`."""

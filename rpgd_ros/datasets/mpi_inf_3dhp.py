@@ -84,14 +84,19 @@ class MpiInf3dhp:
     def read(self, name: str) -> DatasetSequence:
         """Read one sequence; see `Dataset`."""
         check_name(name, self.names)
-        cameras = read_cameras(self.folder / name / 'camera.calibration')
-        uv, x_first = _annotations(self.folder / name / 'annot.mat', len(cameras))
+        calibration, annotations = self.files(name)
+        cameras = read_cameras(calibration)
+        uv, x_first = _annotations(annotations, len(cameras))
         first = cameras[0].camera_T_world
         if first is None:
-            raise refusal(self.folder / name, 'the first camera has no extrinsics')
+            raise refusal(calibration, 'the first camera has no extrinsics')
         x_world = first.inverse() @ (x_first * M_PER_MM)
         fps = FAST_FPS if len(x_world) > FAST_FRAMES else FPS
         return sequence_from_world(name, cameras, x_world, uv, fps=fps, joint_names=JOINTS)
+
+    def files(self, name: str) -> tuple[Path, ...]:
+        """Return calibration and annotations; see `Dataset`."""
+        return self.folder / name / 'camera.calibration', self.folder / name / 'annot.mat'
 
     def objection(self, sequence: DatasetSequence) -> str:
         """Leave no sequence out; see `Dataset`."""

@@ -63,6 +63,9 @@ class Dataset(Protocol):
 
         """
 
+    def files(self, name: str) -> tuple[Path, ...]:
+        """Return the files that one sequence is read from."""
+
     def objection(self, sequence: DatasetSequence) -> str:
         """Say why the publication left a sequence out; '' where it did not, or nobody asks."""
 

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reproduces the publication's table from the published datasets."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import closing
+from fnmatch import fnmatchcase
+from pathlib import Path
+from threading import Event
+from typing import get_args
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from rpgd_ros.apps.evaluate_pool import each_somewhere
+from rpgd_ros.apps.evaluate_sequence import Row, Task, empty_row, evaluate, finished
+from rpgd_ros.apps.evaluate_tables import csv_text, print_results, solved
+from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
+from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.datasets import Dataset, DatasetName, open_dataset
+from rpgd_ros.io.atomic import remove_leftovers, write_atomic
+
+EXIT_DONE, EXIT_PARTIAL, EXIT_BAD_INPUT, EXIT_BUG = 0, 1, 2, 70
+MAX_COMPLAINTS = 10
+
+DESCRIPTION = """\
+Calibrate every sequence of a published dataset by the published method and by the default solver,
+and print the publication's table with the published figures beside ours.
+"""
+EPILOG = """\
+folders, in the datasets' own layouts:
+  aistpp         annotations of AIST++: keypoints2d/ keypoints3d/ cameras/ ignore_list.txt
+  human36m       S*/MyPoseFeatures/D2_Positions and D3_Positions (.cdf), and metadata.xml
+  mpi_inf_3dhp   S*/Seq*/annot.mat and camera.calibration
+  The last two need libraries for their files: pip install 'rpgd_ros[datasets]'
+
+The datasets give skeletons in the world frame, where the answer would be the identity: each
+sequence is first moved by a transform that its name draws.
+
+A finished sequence leaves a small file in the folder of --results and is not done again as long
+as program, settings and data stay the same: stop at any time, and start again.
+
+examples:
+  evaluate aist_plusplus_final --dataset aistpp --select published --csv aistpp.csv
+  evaluate h36m --dataset human36m --sequences 'S9/*' 'S11/*'
+exit codes:
+  0   every sequence was evaluated
+  1   some sequences could not be: they are named
+  2   bad input: nothing was evaluated
+  130 stopped; what is finished is kept
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit code."""
+    arguments = _parser().parse_args(argv)
+    try:
+        with stop_on_signals() as stop:
+            return _run(arguments, Console(), Console(stderr=True), stop)
+    except InputError as error:
+        print(f'evaluate: {error.message}', file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except Stopped:
+        print('evaluate: stopped; the same command goes on from here', file=sys.stderr)
+        return EXIT_STOPPED
+    except Exception:
+        Console(stderr=True).print_exception()
+        print('evaluate: this should not happen, please report it', file=sys.stderr)
+        return EXIT_BUG
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='evaluate',
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add('folder', type=Path, metavar='DATASET_DIR', help='folder in the layout of the dataset')
+    text = 'whose layout it is'
+    add('--dataset', required=True, choices=get_args(DatasetName), help=text)
+    text = (
+        "all sequences, or the publication's: AIST++ without residuals above 300 px, Human3.6M "
+        'S1 S5 S6 S7 S8 S9 S11; of MPI-INF-3DHP it used 14 and does not name them: all '
+        '(default all)'
+    )
+    add('--select', choices=('all', 'published'), default='all', help=text)
+    text = 'only these sequences; * and ? stand for any characters'
+    add('--sequences', nargs='+', default=[], metavar='NAME', help=text)
+    add('--csv', type=Path, metavar='FILE', help='write one line per sequence')
+    text = 'where finished sequences are kept (default evaluation_<dataset>)'
+    add('--results', type=Path, metavar='DIR', help=text)
+    text = 'processes at once (default: as many as there are processors)'
+    add('--jobs', type=int, default=os.cpu_count() or 1, metavar='N', help=text)
+    return parser
+
+
+def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event) -> int:
+    if arguments.jobs < 1:
+        msg = f'--jobs must be 1 or more, got {arguments.jobs}'
+        raise InputError(Reason.BAD_INPUT, msg)
+    for path in filter(None, (arguments.csv, arguments.results)):
+        if not path.absolute().parent.is_dir():
+            msg = f'{path.parent} is no folder: create it first'
+            raise InputError(Reason.NOT_WRITABLE, msg)
+    is_published = arguments.select == 'published'
+    dataset = open_dataset(arguments.dataset, arguments.folder, is_published=is_published)
+    names = _chosen(dataset.names, arguments.sequences, arguments.folder)
+    results = _results_folder(arguments.results or Path(f'evaluation_{arguments.dataset}'))
+    tasks = [
+        Task(arguments.dataset, arguments.folder, name, is_published, results) for name in names
+    ]
+    rows = _evaluate_all(tasks, dataset, arguments.jobs, err, stop)
+    print_results(out, arguments.dataset, rows)
+    if arguments.csv:
+        write_atomic(arguments.csv, csv_text(rows))
+    return _conclude(rows, err)
+
+
+def _chosen(names: Sequence[str], patterns: Sequence[str], folder: Path) -> list[str]:
+    """Return the names that were asked for, in the dataset's order."""
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            msg = f'no sequence {pattern[:80]!r} among the {len(names)} in {folder}'
+            raise InputError(Reason.BAD_INPUT, msg)
+    chosen = [n for n in names if not patterns or any(fnmatchcase(n, p) for p in patterns)]
+    if not chosen:
+        msg = f'{folder} holds no sequence; see --help for the layout'
+        raise InputError(Reason.BAD_INPUT, msg)
+    return chosen
+
+
+def _results_folder(path: Path) -> Path:
+    try:
+        path.mkdir(exist_ok=True)
+    except OSError as error:
+        msg = f'{path} cannot be made: {error.strerror or error}'
+        raise InputError(Reason.NOT_WRITABLE, msg) from error
+    return path
+
+
+def _evaluate_all(
+    tasks: Sequence[Task], dataset: Dataset, jobs: int, err: Console, stop: Event
+) -> list[Row]:
+    """Return the rows of all sequences in their order; finished ones are not done again."""
+    rows: dict[str, Row] = {}
+    for task in tasks:
+        remove_leftovers(task.file)
+        row = finished(task, dataset)
+        if row is not None:
+            rows[task.name] = row
+    columns = (
+        TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    )  # fmt: skip
+    with Progress(*columns, console=err, transient=True) as progress:
+        bar = progress.add_task('sequences', total=len(tasks), completed=len(rows))
+        left = [task for task in tasks if task.name not in rows]
+        jobs = min(jobs, max(len(left), 1))
+        with closing(each_somewhere(evaluate, left, jobs=jobs)) as results:
+            for task, row in results:
+                died = empty_row(task.name) | {'error': 'its process died, twice'}
+                rows[task.name] = died if row is None else row
+                progress.advance(bar)
+                if stop.is_set():
+                    raise Stopped
+    return [rows[task.name] for task in tasks]
+
+
+def _conclude(rows: Sequence[Row], err: Console) -> int:
+    """Name what could not be evaluated, and return the exit code."""
+    left_out = [row for row in rows if row['left_out']]
+    failed = [row for row in rows if row['error']]
+    sentences = []
+    if left_out:
+        first = f'{left_out[0]["sequence"]}: {left_out[0]["left_out"]}'
+        sentences.append(f'{len(left_out)} of {len(rows)} sequences are not selected; {first}')
+    sentences += [f'{row["sequence"]}: {row["error"]}' for row in failed[:MAX_COMPLAINTS]]
+    if len(failed) > MAX_COMPLAINTS:
+        sentences.append(f'and {len(failed) - MAX_COMPLAINTS} more, see --csv')
+    for sentence in sentences:
+        err.print(sentence, markup=False, highlight=False, soft_wrap=True)
+    if failed:
+        return EXIT_PARTIAL if solved(rows) else EXIT_BAD_INPUT
+    return EXIT_DONE
+
+
+if __name__ == '__main__':
+    sys.exit(main())

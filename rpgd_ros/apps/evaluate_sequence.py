@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evaluates one sequence of a dataset, and keeps what was found as one small file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from rpgd_ros import __version__
+from rpgd_ros.apps.bench_problems import THRESHOLDS_PX, body_points, mpjpe_px
+from rpgd_ros.core import (
+    Calibration,
+    CalibrationConfig,
+    CalibrationError,
+    RigidTransform,
+    RpgdError,
+    calibrate,
+)
+from rpgd_ros.core.geometry import rotation_angle
+from rpgd_ros.datasets import Dataset, DatasetName, DatasetSequence, open_dataset
+from rpgd_ros.io.atomic import write_atomic
+
+# One row of results: what a CSV line holds.
+Row = dict[str, Any]
+
+SCHEMA = 1
+METHODS = ('ransac', 'rpgd', 'default')
+FIGURES = ('px', 'deg', 'mm', 'ms', 'refusal')
+COLUMNS = (
+    'sequence', 'left_out', 'error', 'cameras', 'frames', 'joints', 'correspondences', 'gt_px',
+    'read_ms', *(f'{method}_{figure}' for method in METHODS for figure in FIGURES),
+    'default_sigma_deg', 'default_sigma_mm',
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One sequence to evaluate.
+
+    Attributes:
+        dataset: Whose layout the folder has.
+        folder: Of the dataset.
+        name: Of the sequence.
+        is_published: Whether the publication's selection is asked for.
+        results: Folder of the results.
+
+    """
+
+    dataset: DatasetName
+    folder: Path
+    name: str
+    is_published: bool
+    results: Path
+
+    @property
+    def file(self) -> Path:
+        """Where the result is kept; names hold slashes, and files cannot."""
+        return self.results / f'{quote(self.name, safe=" ")}.json'
+
+
+def configs(dataset: DatasetName) -> dict[str, CalibrationConfig]:
+    """Return the settings of each method."""
+    paper = CalibrationConfig.paper(threshold_px=THRESHOLDS_PX[dataset])
+    return {
+        'ransac': paper.with_stage('refine', method='none'),
+        'rpgd': paper,
+        'default': CalibrationConfig(),
+    }
+
+
+def evaluate(task: Task) -> Row:
+    """Evaluate a sequence, write its result, and return it.
+
+    A sequence whose files cannot be used gives a row that says so, which is not kept.
+
+    Raises:
+        InputError: The result cannot be written.
+
+    """
+    dataset = open_dataset(task.dataset, task.folder, is_published=task.is_published)
+    key = fingerprint(task, dataset)
+    try:
+        row = _measure(task, dataset)
+    except RpgdError as error:
+        return empty_row(task.name) | {'error': error.message}
+    write_atomic(task.file, json.dumps({'schema': SCHEMA, 'key': key, 'row': row}))
+    return row
+
+
+def finished(task: Task, dataset: Dataset) -> Row | None:
+    """Return the kept result of a sequence; None where it has to be done.
+
+    A result counts only as long as program, settings and files are those it was made with.
+    """
+    try:
+        kept = json.loads(task.file.read_text(encoding='utf-8'))
+        row = kept['row']
+        is_ours = kept['schema'] == SCHEMA and kept['key'] == fingerprint(task, dataset)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return row if is_ours and isinstance(row, dict) and row.keys() == set(COLUMNS) else None
+
+
+def fingerprint(task: Task, dataset: Dataset) -> str:
+    """Return a digest of all that a result depends on; files count by size and time."""
+    stats = [path.stat() for path in dataset.files(task.name) if path.exists()]
+    parts = [
+        __version__, task.dataset, task.name, task.is_published,
+        [(stat.st_size, stat.st_mtime_ns) for stat in stats],
+        {name: asdict(config) for name, config in configs(task.dataset).items()},
+    ]  # fmt: skip
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def empty_row(name: str) -> Row:
+    """Return a row without figures."""
+    texts = {'sequence', 'left_out', 'error', *(f'{method}_refusal' for method in METHODS)}
+    return {column: '' if column in texts else float('nan') for column in COLUMNS} | {
+        'sequence': name
+    }
+
+
+def _measure(task: Task, dataset: Dataset) -> Row:
+    started = time.perf_counter()
+    sequence = dataset.read(task.name)
+    seconds = time.perf_counter() - started
+    views = sequence.observations.views
+    frames = max(view.n_frames for view in views)
+    row = empty_row(task.name) | {
+        'left_out': dataset.objection(sequence),
+        'cameras': len(sequence.cameras),
+        'frames': frames,
+        'joints': sequence.observations.n_joints,
+        'correspondences': int(sum(view.seen().sum() for view in views)),
+        'gt_px': mpjpe_px(sequence.cameras, sequence.observations, sequence.world_T_mocap),
+        'read_ms': 1e3 * seconds / max(frames, 1),
+    }
+    if row['left_out']:
+        return row
+    for method, config in configs(task.dataset).items():
+        row |= _solve(sequence, method, config, frames)
+    return row
+
+
+def _solve(sequence: DatasetSequence, method: str, config: CalibrationConfig, frames: int) -> Row:
+    """Return the columns of one method. A pose that the gates refuse counts as a pose."""
+    refusal = ''
+    calibration: Calibration | None
+    started = time.perf_counter()
+    try:
+        calibration = calibrate(sequence.cameras, sequence.observations, config=config)
+    except CalibrationError as error:
+        calibration, refusal = error.calibration, str(error.reason)
+    seconds = time.perf_counter() - started
+    columns: Row = {
+        f'{method}_ms': 1e3 * seconds / max(frames, 1),
+        f'{method}_refusal': refusal,
+    }
+    if calibration is None:
+        return columns
+    pose = calibration.world_T_mocap
+    deg, mm = distance(sequence, pose)
+    columns |= {
+        f'{method}_px': mpjpe_px(sequence.cameras, sequence.observations, pose),
+        f'{method}_deg': deg,
+        f'{method}_mm': mm,
+    }
+    if method == 'default':
+        columns['default_sigma_deg'] = calibration.sigma_rotation_deg
+        columns['default_sigma_mm'] = 1e3 * calibration.sigma_position_m
+    return columns
+
+
+def distance(sequence: DatasetSequence, pose: RigidTransform) -> tuple[float, float]:
+    """Return how far a pose is from the dataset's: degrees, and RMS of the body's points, mm."""
+    given = sequence.world_T_mocap
+    x = body_points(sequence.observations)
+    apart = (pose @ x) - (given @ x)
+    angle = rotation_angle(given.rotation @ pose.rotation.T)
+    return float(np.degrees(angle)), 1e3 * float(np.sqrt((apart**2).sum(-1).mean()))

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an evaluation prints and writes: the publication's table, rows, and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+
+from rpgd_ros.apps.bench_published import PUBLISHED
+from rpgd_ros.apps.bench_run import figure, markdown
+from rpgd_ros.apps.evaluate_sequence import COLUMNS, METHODS, Row
+from rpgd_ros.core.geometry import Array
+from rpgd_ros.datasets import DatasetName
+
+MAX_ROWS = 40  # more sequences are left to the CSV file
+LABELS = {'ransac': 'RANSAC-P3P', 'rpgd': 'RPGD', 'default': 'default'}
+CAPTION = """\
+MPJPE: mean over sequences of the mean residual over all correspondences (eq. 7). deg and mm: from
+the dataset's own pose, mm as RMS displacement of the body's points; medians over sequences. ms:
+reading and solving by the clock on this machine, per instant over all cameras; published: on its
+authors'. Poses that the gates refuse (!) count. The MPJPE at the dataset's pose (GT) is no lower
+bound: where joints of detector and MoCap differ, a worse pose can have a lower MPJPE and a better
+one a higher; then mm decides."""
+
+
+def csv_text(rows: Sequence[Row]) -> str:
+    """Return the rows as CSV, one line per sequence; numbers that are not there are empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({key: '' if _is_nan(value) else value for key, value in row.items()})
+    return text.getvalue()
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and np.isnan(value)
+
+
+def solved(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows of sequences that were neither left out nor unreadable."""
+    return [row for row in rows if not (row['left_out'] or row['error'])]
+
+
+def print_results(console: Console, dataset: DatasetName, rows: Sequence[Row]) -> None:
+    """Print rows and table; nothing where nothing was solved."""
+    counted = solved(rows)
+    if not counted:
+        return
+    frames = int(sum(row['frames'] for row in counted))
+    paragraphs = [
+        f'{dataset}: {len(counted)} sequences, {frames} frames',
+        _by_method(dataset, counted),
+        CAPTION.replace('\n', ' '),
+    ]
+    if len(counted) <= MAX_ROWS:
+        paragraphs.insert(0, _by_sequence(counted))
+    # soft_wrap: a table that is cut at 80 columns where nobody watches is of no use.
+    console.print('\n\n'.join(paragraphs), markup=False, highlight=False, soft_wrap=True)
+
+
+def _by_sequence(rows: Sequence[Row]) -> str:
+    header = ('sequence', 'frames', 'GT px', *(f'{LABELS[m]} px' for m in METHODS), 'mm', 'ms')
+    return markdown(
+        header,
+        [
+            (
+                row['sequence'],
+                str(row['frames']),
+                figure(row['gt_px'], 5),
+                *(_pixels(row, method) for method in METHODS),
+                figure(row['default_mm']),
+                figure(row['default_ms'] + row['read_ms']),
+            )
+            for row in rows
+        ],
+    )
+
+
+def _pixels(row: Row, method: str) -> str:
+    return figure(row[f'{method}_px'], 5) + ('!' if row[f'{method}_refusal'] else '')
+
+
+def _by_method(dataset: DatasetName, rows: Sequence[Row]) -> str:
+    header = ('', 'px', '/ GT', 'deg', 'mm', 'ms', 'refused', 'published px', '/ GT', 'ms')
+    paper = PUBLISHED[dataset]
+    published = {'ransac': paper.ransac, 'rpgd': paper.rpgd}
+    truth = float(_column(rows, 'gt_px').mean())
+    lines = [('GT', figure(truth, 5), '1', *'----', f'{paper.ground_truth}', '1', '-')]
+    for method in METHODS:
+        pixels = _column(rows, f'{method}_px')
+        known = np.isfinite(pixels)
+        mean = _mean(pixels[known])
+        ratio = mean / _mean(_column(rows, 'gt_px')[known])
+        theirs = published.get(method)
+        lines.append(
+            (
+                LABELS[method],
+                figure(mean, 5),
+                figure(ratio, 5),
+                _median(rows, f'{method}_deg'),
+                _median(rows, f'{method}_mm'),
+                figure(_mean(_column(rows, f'{method}_ms') + _column(rows, 'read_ms'))),
+                str(sum(bool(row[f'{method}_refusal']) for row in rows)),
+                f'{theirs}' if theirs else '-',
+                f'{theirs / paper.ground_truth:.3f}' if theirs else '-',
+                f'{paper.frame_ms}' if method == 'rpgd' else '-',
+            )
+        )
+    return markdown(header, lines)
+
+
+def _column(rows: Sequence[Row], name: str) -> Array:
+    return np.array([row[name] for row in rows], dtype=np.float64)
+
+
+def _mean(values: Array) -> float:
+    return float(values.mean()) if values.size else float('nan')
+
+
+def _median(rows: Sequence[Row], name: str) -> str:
+    values = _column(rows, name)
+    known = values[np.isfinite(values)]
+    return figure(float(np.median(known))) if known.size else '-'
