@@ -196,11 +196,16 @@ def adam(
         loss: `SquaredLoss` for the publication.
         check: Called with the fraction done; raises to end the run.
 
+    Returns:
+        Where it ended, or the start where that is better: its first steps are as long as the
+        rates, whatever the gradient, and may leave a narrow valley for good.
+
     """
     x = np.concatenate([euler_zyx_from_rotation(pose.rotation), pose.translation])
     rate = np.array([config.lr_rotation] * 3 + [config.lr_translation] * 3)
     first, second = np.zeros(6), np.zeros(6)
     b1, b2 = ADAM_BETA
+    before, _ = published_gradient(sights, x[:3], x[3:], loss)
     for k in range(1, config.iterations + 1):
         check(k / config.iterations)
         _, gradient = published_gradient(sights, x[:3], x[3:], loss)
@@ -208,4 +213,5 @@ def adam(
         second = b2 * second + (1.0 - b2) * gradient**2
         annealed = 0.5 * rate * (1.0 + np.cos(np.pi * k / config.iterations))
         x -= annealed * (first / (1.0 - b1**k)) / (np.sqrt(second / (1.0 - b2**k)) + ADAM_EPSILON)
-    return RigidTransform(euler_zyx_with_derivatives(x[:3])[0], x[3:])
+    after, _ = published_gradient(sights, x[:3], x[3:], loss)
+    return RigidTransform(euler_zyx_with_derivatives(x[:3])[0], x[3:]) if after < before else pose
