@@ -14,19 +14,13 @@ from hypothesis import strategies as st
 from numeric import jacobian, relative_error
 
 from rpgd_ros.core import RigidTransform, View
-from rpgd_ros.core import linearise as module
+from rpgd_ros.core import linearise as chunks
+from rpgd_ros.core import normal as module
 from rpgd_ros.core.examine import examine
 from rpgd_ros.core.geometry import Array, so3_exp
-from rpgd_ros.core.linearise import (
-    Normal,
-    Sight,
-    apply_delta,
-    linearise,
-    normal_equations,
-    residuals,
-    twist_from_delta,
-)
+from rpgd_ros.core.linearise import Sight, linearise, residuals
 from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss
+from rpgd_ros.core.normal import Normal, apply_delta, normal_equations, twist_from_delta
 
 POSE = RigidTransform(so3_exp([0.4, -1.2, 0.7]), np.array([0.2, -0.1, 3.5]))
 NOISE = NoiseModel(sigma_px=1.5, nu=3.0, share=0.8, background=1e-5)
@@ -264,5 +258,5 @@ def test_a_long_recording_is_walked_through_in_whole_frames() -> None:
     sight = Sight(camera_with('none'), view)
     parts = [uv for _, uv in sight.chunks()]
     np.testing.assert_array_equal(np.concatenate(parts), view.uv.reshape(-1, 2))
-    assert max(map(len, parts)) <= module.CHUNK
+    assert max(map(len, parts)) <= chunks.CHUNK
     assert all(len(part) % 17 == 0 for part in parts)

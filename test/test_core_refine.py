@@ -21,8 +21,9 @@ from rpgd_ros.core.geometry import (
     euler_zyx_with_derivatives,
     rotation_from_euler_zyx,
 )
-from rpgd_ros.core.linearise import Sight, apply_delta, linearise, normal_equations
+from rpgd_ros.core.linearise import Sight, linearise
 from rpgd_ros.core.noise import NoiseModel, SquaredLoss
+from rpgd_ros.core.normal import apply_delta, normal_equations
 from rpgd_ros.core.refine import adam, descend, finish, newton_step, published_gradient
 
 NOISE = NoiseModel(sigma_px=2.0, nu=6.0, share=0.9, background=1e-6)

@@ -11,8 +11,9 @@ import scenes
 
 from rpgd_ros.core import CalibrationConfig, MocapTrack, Observations, calibrate
 from rpgd_ros.core.config import TimeConfig
-from rpgd_ros.core.linearise import Sight, apply_delta
+from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.noise import NoiseModel
+from rpgd_ros.core.normal import apply_delta
 from rpgd_ros.core.offsets import shifted, timed_equations
 from rpgd_ros.core.timeline import Timeline
 

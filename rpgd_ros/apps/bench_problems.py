@@ -10,7 +10,8 @@ import numpy as np
 
 from rpgd_ros.core import Camera, Observations, RigidTransform
 from rpgd_ros.core.geometry import Array, BoolArray, rotation_angle
-from rpgd_ros.core.linearise import Sight, linearise, twist_from_delta
+from rpgd_ros.core.linearise import Sight, linearise
+from rpgd_ros.core.normal import twist_from_delta
 from rpgd_ros.simulation import Corruption, Faults, Truth, Twin, build_scene, preset, simulate
 from rpgd_ros.simulation.presets import OutlierKind
 

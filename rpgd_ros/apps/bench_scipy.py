@@ -12,7 +12,8 @@ from scipy.optimize import least_squares
 from rpgd_ros.apps.bench_select import evenly, selected
 from rpgd_ros.core import Camera, Observations, RigidTransform
 from rpgd_ros.core.geometry import Array, skew, so3_exp
-from rpgd_ros.core.linearise import apply_delta, linearise, twist_from_delta
+from rpgd_ros.core.linearise import linearise
+from rpgd_ros.core.normal import apply_delta, twist_from_delta
 
 START_POINTS, FINE_POINTS = 5_000, 50_000
 RANSAC_DRAWS, RANSAC_CONFIDENCE = 1000, 0.999

@@ -216,7 +216,10 @@ def _refine(
         # The noise is fitted on a part of the data, where the pose is already at its optimum.
         middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
         pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
-        noise = noise_at(middle, pose)
+        noise = noise_at(middle, pose, with_joints=refine.joint_noise)
+        if noise.joint_sigma_m:
+            pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
+            noise = noise_at(middle, pose, with_joints=True)
     loss: Loss = SquaredLoss() if refine.loss == 'squared' else noise
     threshold_px = config.ransac.threshold_px or noise.threshold_px
     used = thin(sights, refine.frame_stride, budget(sights, refine.max_correspondences))
@@ -249,7 +252,7 @@ def _report(
     if isinstance(loss, SquaredLoss) and n > 3:
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
         variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
-    timed = clocks.equations(descent.pose, centroid)
+    timed = clocks.equations(descent.pose, centroid, loss)
     covariance, over_time = covariances(descent, centroid, variance=variance, timed=timed)
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     contradicting = disagreements(sights, descent, centroid)

@@ -11,9 +11,10 @@ import numpy as np
 from rpgd_ros.core.covariance import offset_sigmas
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.offsets import TimedNormal, descend_in_time, shifted
+from rpgd_ros.core.noise import Loss, noise_at
+from rpgd_ros.core.offsets import TimedNormal, descend_in_time, shifted, timed_equations
 from rpgd_ros.core.ransac import Start, robust_start
-from rpgd_ros.core.synchronise import Synchronised, final_equations, synchronise
+from rpgd_ros.core.synchronise import Synchronised, synchronise
 from rpgd_ros.core.thin import MIDDLE_POINTS, budget, thin
 from rpgd_ros.core.timeline import Timeline
 
@@ -33,11 +34,12 @@ class Clocks:
     state: Synchronised | None = None
     warnings: tuple[str, ...] = ()
 
-    def equations(self, pose: RigidTransform, centroid: Array) -> TimedNormal | None:
+    def equations(self, pose: RigidTransform, centroid: Array, loss: Loss) -> TimedNormal | None:
         """Sums by pose and offsets, for the covariance."""
         if self.timeline is None or self.state is None:
             return None
-        return final_equations(self.sights, self.timeline, self.state, pose, centroid)
+        moved, velocities = shifted(self.sights, self.timeline, self.state.offset_s)
+        return timed_equations(moved, velocities, pose, centroid, loss, self.state.column)
 
     def offsets(self, timed: TimedNormal | None) -> dict[str, tuple[float, float]]:
         """Offset and sigma by camera, where estimated."""
@@ -70,8 +72,11 @@ def set_clocks(
     if track is None or len(track.stamp_ns) < 2 or any(s.view.stamp_ns is None for s in sights):
         msg = 'no time is known (fps or stamps): the offset of the video was not estimated'
         return Clocks(warnings=(msg,)), sights, start
-    timeline = Timeline(track)
     middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
+    pose, noise, _ = start.candidates[0]
+    if config.refine.joint_noise and noise.is_sharp:
+        noise = noise_at(middle, pose, with_joints=True)
+    timeline = Timeline(track, is_noisy=noise.joint_sigma_m > 0.0)
     state = synchronise(middle, timeline, start, centroid, config, rng, check=check)
     refine = config.refine
     used = thin(sights, refine.frame_stride, budget(sights, refine.max_correspondences))
@@ -85,6 +90,8 @@ def set_clocks(
         for s, column in zip(sights, state.column, strict=True)
         if column < 0
     )
+    if noise.joint_sigma_m:
+        timeline = Timeline(track)  # smoothing shrinks what swings: it was for the offsets only
     moved, _ = shifted(used, timeline, offset_s)
     best = start.candidates[0]._replace(world_T_mocap=pose, noise=state.noise)
     # Minima that were rivals while the skeletons were late need not be rivals now.

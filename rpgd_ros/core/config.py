@@ -135,6 +135,9 @@ class RefineConfig(Stage):
         high=100_000,
         is_live=True,
     )
+    joint_noise: bool = setting(
+        default=False, help='Estimate the noise of the 3D joints, too (Kinect, IMU suits)'
+    )
     max_correspondences: int = setting(
         4_000_000,
         'Budget of the last passes; evenly spread frames beyond it',
@@ -242,6 +245,7 @@ class CalibrationConfig:
     def thorough(cls) -> Self:
         """Return the settings of the node and of `calibrate_bag`."""
         return cls(
+            refine=RefineConfig(joint_noise=True),
             time=TimeConfig(estimate_offset='per_camera'),
             rig=RigConfig(on_bumped_camera='exclude'),
         )

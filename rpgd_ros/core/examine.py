@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array, Column, IntArray, RigidTransform
-from rpgd_ros.core.linearise import Residuals, Sight, linearise, twist_from_delta
+from rpgd_ros.core.geometry import Array, BoolArray, Column, IntArray, RigidTransform
+from rpgd_ros.core.linearise import Residuals, Sight, linearise
+from rpgd_ros.core.normal import twist_from_delta
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,7 +98,8 @@ def examine(
         pose: world_T_mocap.
         pivot_world: (3,) pivot of the parameters, metres, see `linearise`.
         loss: Loss of the squared residual.
-        threshold_px: Residual below which a correspondence is an inlier.
+        threshold_px: Residual below which a correspondence is an inlier, beside what the noise
+            of its 3D joint adds.
 
     """
     total = sum(s.view.n_frames * s.view.n_joints for s in sights)
@@ -108,16 +110,21 @@ def examine(
     cost = 0.0
     for v, (sight, block) in enumerate(zip(sights, time_blocks(sights), strict=True)):
         camera_T_mocap = sight.camera_T_world @ pose
+        joint_noise = loss.joint_noise(sight.camera.focal_px)
         of_joint, of_time = np.zeros((n_joints, 6)), np.zeros((TIME_BLOCKS, 6))
         for frames, (x, uv) in zip(sight.slices(), sight.chunks(), strict=True):
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
-            added, weight, _ = loss.evaluate(res)
+            white = res
+            if joint_noise:
+                white, slopes = slopes.whitened(res, joint_noise)
+            added, weight, _ = loss.evaluate(white)
             cost += added
-            pull = slopes.pull(res.du * weight, res.dv * weight)
+            pull = slopes.pull(white.du * weight, white.dv * weight)
             pull = pull.reshape(6, -1, n_joints)
             of_joint += np.add.reduce(pull, 1).T
             of_time += per_block(np.add.reduce(pull, 2), block[frames])
-            book.enter(v, res, threshold_px)
+            near = res.in_view & (white.squared < threshold_px**2)
+            book.enter(v, res, near)
         to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
         by_joint.append(of_joint @ to_twist)
         by_time.append(of_time @ to_twist)
@@ -152,10 +159,9 @@ class _Book:
         self._sample: list[Column] = []
         self._stride = stride
 
-    def enter(self, camera: int, res: Residuals, threshold_px: float) -> None:
-        """Add one chunk of whole frames."""
+    def enter(self, camera: int, res: Residuals, near: BoolArray) -> None:
+        """Add one chunk of whole frames, with its inliers."""
         r = np.sqrt(res.squared)
-        near = res.in_view & (r < threshold_px)
         kept = slice(None, None, self._stride)
         self._sample.append(r[kept][res.in_view[kept]])
         frames = (-1, self._counts.shape[2])

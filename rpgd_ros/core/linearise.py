@@ -5,10 +5,7 @@ A pass walks through chunks that fit the processor's cache and works on whole co
 of arrays). Columns are single precision: rounding adds 1e-4 px to a residual, a thousandth of the
 noise of the best detector; sums are double. The derivative is taken by a twist (w, v) of the
 camera frame, which moves its points by `w cross x + v` and needs few operations per point; a 6x6
-matrix per camera carries the sums over to the parameters of the solve.
-
-Parameters: delta = (w, d), world frame, with `x_world' = exp([w]x) (x_world - c) + c + d` about a
-pivot c, the body's centroid. There, rotation and translation are nearly independent.
+matrix per camera carries the sums over to the parameters of the solve, see `normal`.
 """
 
 from __future__ import annotations
@@ -25,17 +22,12 @@ from rpgd_ros.core.geometry import (
     Column,
     IntArray,
     RigidTransform,
-    nearest_rotation,
-    skew,
-    so3_exp,
 )
 from rpgd_ros.core.lens import distort, distort_with_derivatives
 from rpgd_ros.core.observations import LARGEST_COORDINATE, View
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from rpgd_ros.core.noise import Loss
+    from collections.abc import Iterator
 
 Precision = type[np.float32] | type[np.float64]
 
@@ -106,6 +98,8 @@ class Slopes(NamedTuple):
         du_db: The same.
         dv_da: The same.
         dv_db: The same.
+        du_dz: Derivative by the logarithm of the depth, where weights depend on it.
+        dv_dz: The same.
 
     """
 
@@ -116,12 +110,17 @@ class Slopes(NamedTuple):
     du_db: Column
     dv_da: Column
     dv_db: Column
+    du_dz: Column | None = None
+    dv_dz: Column | None = None
 
     def rows(self) -> tuple[Column, Column]:
         """Derivatives of du and dv by the twist, (6, n) each."""
-        return self._row(self.du_da, self.du_db), self._row(self.dv_da, self.dv_db)
+        return (
+            self._row(self.du_da, self.du_db, self.du_dz),
+            self._row(self.dv_da, self.dv_db, self.dv_dz),
+        )
 
-    def _row(self, by_a: Column, by_b: Column) -> Column:
+    def _row(self, by_a: Column, by_b: Column, by_z: Column | None) -> Column:
         out = np.empty((6, len(by_a)), by_a.dtype)
         k = by_a * self.a + by_b * self.b
         np.multiply(k, -self.b, out=out[0])
@@ -133,34 +132,42 @@ class Slopes(NamedTuple):
         np.multiply(by_a, self.iz, out=out[3])
         np.multiply(by_b, self.iz, out=out[4])
         np.multiply(k, -self.iz, out=out[5])
+        if by_z is not None:
+            out[0] += by_z * self.b
+            out[1] -= by_z * self.a
+            out[5] += by_z * self.iz
         return out
 
     def pull(self, du: Column, dv: Column) -> Column:
         """(6, n) J^T r by the twist: what `rows` gives, without making them."""
         g_a = self.du_da * du + self.dv_da * dv
         g_b = self.du_db * du + self.dv_db * dv
-        return self._row(g_a, g_b)
+        if self.du_dz is None or self.dv_dz is None:
+            return self._row(g_a, g_b, None)
+        return self._row(g_a, g_b, self.du_dz * du + self.dv_dz * dv)
 
+    def whitened(self, res: Residuals, joint_noise: float) -> tuple[Residuals, Slopes]:
+        """Divide residuals by how much the noise of the 3D joints adds at their depth.
 
-class Normal(NamedTuple):
-    """Sums of one pass, by the parameters of the solve.
+        Its pixels grow with 1 / depth: var(r) = sigma^2 (1 + joint_noise^2 / depth^2). The
+        divisor moves with the pose, and so do these derivatives: that term takes out the bias
+        that noisy 3D points give to least squares (errors in variables).
 
-    Attributes:
-        hessian: (6, 6) second derivative of the cost.
-        information: (6, 6) its positive part, `sum w J^T J` (Gauss-Newton).
-        gradient: (6,) first derivative of the cost.
-        cost: Sum of the loss over all seen correspondences.
-        camera_hessian: (V, 6, 6) each camera's part of the Hessian.
-        camera_information: (V, 6, 6) each camera's part of the information.
+        Args:
+            res: Residuals.
+            joint_noise: Metres times focal length over the pixel noise: sigma_3D f / sigma.
 
-    """
-
-    hessian: Array
-    information: Array
-    gradient: Array
-    cost: float
-    camera_hessian: Array
-    camera_information: Array
+        """
+        added = (joint_noise * self.iz) ** 2
+        root = 1.0 / np.sqrt(1.0 + added)
+        share = added / (1.0 + added)
+        du, dv = res.du * root, res.dv * root
+        slopes = Slopes(
+            self.a, self.b, self.iz,
+            self.du_da * root, self.du_db * root, self.dv_da * root, self.dv_db * root,
+            share * du, share * dv,
+        )  # fmt: skip
+        return res._replace(du=du, dv=dv), slopes
 
 
 def residuals(
@@ -184,71 +191,6 @@ def linearise(
     fx, fy, _, _ = camera.pinhole
     slopes = Slopes(a, b, iz, fx * lens.dx_dx, fx * lens.dx_dy, fy * lens.dy_dx, fy * lens.dy_dy)
     return res, slopes
-
-
-def twist_from_delta(camera_T_world: RigidTransform, pivot_world: Array) -> Array:
-    """Return (6, 6): the camera's twist that a step (w, d) of the solve means."""
-    r = camera_T_world.rotation
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = r
-    out[3:, :3] = skew(camera_T_world @ pivot_world) @ r
-    return out
-
-
-def apply_delta(world_T_mocap: RigidTransform, delta: Array, pivot_world: Array) -> RigidTransform:
-    """Move a pose by a step (w, d) about the pivot."""
-    turn = so3_exp(delta[:3])
-    translation = turn @ (world_T_mocap.translation - pivot_world) + pivot_world + delta[3:]
-    # Steps add up: without this the rotation would slowly cease to be one.
-    return RigidTransform(nearest_rotation(turn @ world_T_mocap.rotation), translation)
-
-
-def normal_equations(
-    sights: Sequence[Sight], world_T_mocap: RigidTransform, pivot_world: Array, loss: Loss
-) -> Normal:
-    """Sum cost, gradient and Hessian of a loss over all correspondences.
-
-    Args:
-        sights: Cameras with their data.
-        world_T_mocap: Where to linearise.
-        pivot_world: (3,) pivot of the parameters, metres.
-        loss: Loss of the squared residual.
-
-    """
-    hessian, information = np.zeros((2, len(sights), 6, 6))
-    gradient, cost = np.zeros(6), 0.0
-    for v, sight in enumerate(sights):
-        camera_T_mocap = sight.camera_T_world @ world_T_mocap
-        info, bend, grad = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-        for x, uv in sight.chunks():
-            res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
-            added, weight, bending = loss.evaluate(res)
-            cost += added
-            _accumulate(res, slopes, weight, bending, info, bend, grad)
-        to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
-        information[v] = to_twist.T @ info @ to_twist
-        hessian[v] = to_twist.T @ (info - bend) @ to_twist
-        gradient += to_twist.T @ grad
-    return Normal(hessian.sum(0), information.sum(0), gradient, cost, hessian, information)
-
-
-def _accumulate(
-    res: Residuals, slopes: Slopes, weight: Column, bending: Column | None,
-    info: Array, bend: Array, grad: Array,
-) -> None:  # fmt: skip
-    """Add one chunk to the sums, by the camera's twist."""
-    rows_u, rows_v = slopes.rows()
-    pull = rows_u * res.du
-    pull += rows_v * res.dv
-    grad += pull @ weight
-    root = np.sqrt(weight)
-    rows_u *= root
-    rows_v *= root
-    info += rows_u @ rows_u.T
-    info += rows_v @ rows_v.T
-    if bending is not None:
-        pull *= np.sqrt(bending)
-        bend += pull @ pull.T
 
 
 def _ideal(

@@ -10,14 +10,14 @@ where they become the better explanation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array, Column, RigidTransform
-from rpgd_ros.core.linearise import Residuals, Sight, residuals
+from rpgd_ros.core.linearise import Residuals, Sight, linearise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,6 +32,10 @@ MAX_INLIER_SHARE = 0.999  # keeps a floor under the loss: the one gross error to
 # Largest sigma by focal length: 10 cm at 3.3 m. Detectors on recorded footage show 0.003 to 0.008.
 LARGEST_NOISE = 0.03
 SHARP = 0.25  # of the largest sigma: 0.0075 of the focal length, 3 cm at 4 m
+# Noise of the 3D joints over that of the keypoints, in pixels at the median depth, that is tried;
+# and by how much (log likelihood) it must explain the data better than none.
+JOINT_NOISE_RATIOS = np.geomspace(0.25, 8.0, 11)
+JOINT_NOISE_GAIN = 10.0
 INLIER_SIGMAS = 3.0  # threshold when none is given: 99 % of Gaussian noise, 87 % of nu = 3
 
 
@@ -40,6 +44,10 @@ class Loss(Protocol):
 
     def evaluate(self, res: Residuals) -> tuple[float, Column, Column | None]:
         """Return the summed cost, the weights 2 rho', and -4 rho'' (None = zero), each (n,)."""
+        ...
+
+    def joint_noise(self, focal_px: float) -> float:
+        """Noise of the 3D joints as `Slopes.whitened` takes it; 0 where there is none."""
         ...
 
 
@@ -52,6 +60,11 @@ class SquaredLoss:
         cost = 0.5 * float(res.squared.sum(dtype=np.float64))  # zero where not in view
         return cost, res.in_view.astype(np.float32), None
 
+    def joint_noise(self, focal_px: float) -> float:
+        """See `Loss`."""
+        del focal_px
+        return 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
@@ -62,6 +75,7 @@ class NoiseModel:
         nu: Its tail (degrees of freedom).
         share: Share of the correspondences that carry only this noise.
         background: Density of gross residuals near zero, 1 / px^2.
+        joint_sigma_m: Noise of the 3D joints per axis, metres, where it was estimated.
         is_sharp: Whether sigma is far below the largest that is believed. A spread near it
             explains any data a little: it is no explanation.
 
@@ -71,7 +85,12 @@ class NoiseModel:
     nu: float
     share: float
     background: float
+    joint_sigma_m: float = 0.0
     is_sharp: bool = True
+
+    def joint_noise(self, focal_px: float) -> float:
+        """See `Loss`."""
+        return self.joint_sigma_m * focal_px / self.sigma_px
 
     @property
     def peak(self) -> float:
@@ -159,24 +178,56 @@ def fit_noise(residual_px: Array, *, largest_px: float, quick: bool = False) -> 
     )
 
 
-def noise_at(sights: Sequence[Sight], pose: RigidTransform) -> NoiseModel:
+def noise_at(
+    sights: Sequence[Sight], pose: RigidTransform, *, with_joints: bool = False
+) -> NoiseModel:
     """Fit the spread of the residuals of a pose.
+
+    Args:
+        sights: Cameras with their data.
+        pose: world_T_mocap.
+        with_joints: Also estimate the noise of the 3D joints: it shows where near bodies have
+            larger residuals than far ones.
 
     Raises:
         CalibrationError: No keypoint lies before a camera.
 
     """
-    out = [np.empty(0)]
-    for s in sights:
-        for x, uv in s.chunks():
-            res = residuals(s.camera, s.camera_T_world @ pose, x, uv)
-            out.append(np.sqrt(res.squared)[res.in_view])
-    residual_px = np.concatenate(out)
+    residual_px, angle_px = _residuals_at(sights, pose)
     if not len(residual_px):
         msg = 'no keypoint lies before a camera in the best pose found'
         raise CalibrationError(Reason.TOO_FEW_INLIERS, msg)
-    largest_px = LARGEST_NOISE * float(np.median([s.camera.focal_px for s in sights]))
-    return fit_noise(residual_px, largest_px=largest_px)
+    focal_px = float(np.median([s.camera.focal_px for s in sights]))
+    best = fit_noise(residual_px, largest_px=LARGEST_NOISE * focal_px)
+    if not with_joints:
+        return best
+    most = _log_likelihood(best, residual_px, 1.0) + JOINT_NOISE_GAIN
+    for ratio in JOINT_NOISE_RATIOS / np.median(angle_px):
+        widened = np.sqrt(1.0 + (ratio * angle_px) ** 2)
+        noise = fit_noise(residual_px / widened, largest_px=LARGEST_NOISE * focal_px)
+        likelihood = _log_likelihood(noise, residual_px / widened, widened)
+        if likelihood > most:
+            most, best = likelihood, replace(noise, joint_sigma_m=float(ratio * noise.sigma_px))
+    return best
+
+
+def _residuals_at(sights: Sequence[Sight], pose: RigidTransform) -> tuple[Array, Array]:
+    """Return residuals (n,), pixels, and what a metre at their depth projects to (n,), pixels."""
+    residual: list[Column] = [np.empty(0)]
+    angle: list[Column] = [np.empty(0)]
+    for s in sights:
+        for x, uv in s.chunks():
+            res, slopes = linearise(s.camera, s.camera_T_world @ pose, x, uv)
+            residual.append(np.sqrt(res.squared)[res.in_view])
+            angle.append(s.camera.focal_px * slopes.iz[res.in_view])
+    return np.concatenate(residual), np.concatenate(angle)
+
+
+def _log_likelihood(noise: NoiseModel, residual: Array, widened: Array | float) -> float:
+    """Of the residuals before they were divided; the division stretches the density twice."""
+    return -len(residual) * noise.cost_per_point(residual) - 2.0 * float(
+        np.sum(np.log(np.broadcast_to(widened, residual.shape)))
+    )
 
 
 def _histogram(residual_px: Array) -> tuple[Array, Array]:

@@ -15,8 +15,9 @@ import numpy as np
 
 from rpgd_ros.core.examine import TIME_BLOCKS, per_block, time_blocks
 from rpgd_ros.core.geometry import Array, RigidTransform
-from rpgd_ros.core.linearise import Sight, apply_delta, linearise, twist_from_delta
+from rpgd_ros.core.linearise import Sight, linearise
 from rpgd_ros.core.noise import Loss, NoiseModel
+from rpgd_ros.core.normal import apply_delta, twist_from_delta
 from rpgd_ros.core.refine import newton_step
 
 if TYPE_CHECKING:
@@ -99,10 +100,13 @@ def timed_equations(
     cameras = zip(sights, velocities, column, time_blocks(sights), strict=True)
     for sight, velocity, number, block in cameras:
         camera_T_mocap = sight.camera_T_world @ pose
+        joint_noise = loss.joint_noise(sight.camera.focal_px)
         info, bend = np.zeros((7, 7)), np.zeros((7, 7))
         scores, later = np.zeros((n_joints, 7)), np.zeros((TIME_BLOCKS, 7))
         for frames, (x, uv) in zip(sight.slices(), sight.chunks(), strict=True):
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
+            if joint_noise:
+                res, slopes = slopes.whitened(res, joint_noise)
             added, weight, bending = loss.evaluate(res)
             cost += added
             drift = (camera_T_mocap.rotation @ velocity[frames].reshape(-1, 3).T).astype(

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rpgd_ros.core.geometry import Array, RigidTransform
-from rpgd_ros.core.linearise import apply_delta
 from rpgd_ros.core.noise import LARGEST_NOISE, NoiseModel, fit_noise
+from rpgd_ros.core.normal import apply_delta
 from rpgd_ros.core.pool import Pool
 
 LEAST_SHARE = 0.08  # below the least share of inliers that is accepted

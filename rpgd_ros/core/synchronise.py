@@ -12,7 +12,7 @@ from rpgd_ros.core.covariance import offset_sigmas
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.linearise import Sight, residuals
 from rpgd_ros.core.noise import NoiseModel, noise_at
-from rpgd_ros.core.offsets import TimedNormal, descend_in_time, shifted, timed_equations
+from rpgd_ros.core.offsets import descend_in_time, shifted, timed_equations
 from rpgd_ros.core.ransac import Start, robust_start
 from rpgd_ros.core.search import coarse_offset
 
@@ -86,15 +86,6 @@ def synchronise(
     return _without_unknown(sights, timeline, state, centroid_mocap, config, check)
 
 
-def final_equations(
-    sights: Sequence[Sight], timeline: Timeline, state: Synchronised, pose: RigidTransform,
-    centroid_mocap: Array,
-) -> TimedNormal:  # fmt: skip
-    """Sums by pose and offsets at the end, for their covariance."""
-    moved, velocities = shifted(sights, timeline, state.offset_s)
-    return timed_equations(moved, velocities, pose, centroid_mocap, state.noise, state.column)
-
-
 def _begin(offset_s: Array, column: tuple[int, ...], start: Start) -> Synchronised:
     pose, noise, _ = start.candidates[0]
     return Synchronised(offset_s, column, pose, noise)
@@ -120,7 +111,10 @@ def _without_unknown(
     config: CalibrationConfig, check: Callable[[float], None],
 ) -> Synchronised:  # fmt: skip
     """Set offsets to zero that the motion does not tell, and settle the rest again."""
-    normal = final_equations(sights, timeline, state, state.pose, centroid_mocap)
+    moved, velocities = shifted(sights, timeline, state.offset_s)
+    normal = timed_equations(
+        moved, velocities, state.pose, centroid_mocap, state.noise, state.column
+    )
     sigma = offset_sigmas(normal)
     known = [c for c in sorted(set(state.column)) if sigma[c] <= config.time.max_sigma_s]
     if len(known) == len(sigma):
