@@ -52,6 +52,8 @@ setup(
         'datasets': ['cdflib>=1.3,<2', 'scipy>=1.11,<2'],
         # Solvers that the benchmark compares ours with; it leaves out what is not there.
         'bench': ['poselib>=2.0.5,<3', 'scipy>=1.11,<2'],
+        # C3D files for import_recording.
+        'import': ['ezc3d>=1.5.18,<2'],
         # colcon calls commands of setup.py that setuptools 80 took away.
         'colcon': [
             'colcon-common-extensions>=0.3,<0.4',
@@ -63,6 +65,7 @@ setup(
         'console_scripts': [
             f'calibrator = {NAME}.apps.calibrator:main',
             f'calibrate_bag = {NAME}.apps.calibrate_bag:main',
+            f'import_recording = {NAME}.apps.import_recording:main',
             f'simulate = {NAME}.apps.simulate:main',
         ],
     },

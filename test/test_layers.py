@@ -29,11 +29,12 @@ ROOMS = {
     'io': SESSION - {'io'},
     'session': SESSION,
     'datasets': WORKERS,
+    'importing': WORKERS,
     'simulation': WORKERS,
     'report': WORKERS,
     'ros': SESSION | {'session'},
     'launch': frozenset[str](),
-    'apps': SESSION | {'session', 'datasets', 'simulation', 'report', 'ros'},
+    'apps': SESSION | {'session', 'datasets', 'importing', 'simulation', 'report', 'ros'},
 }
 # The programs that need ROS; all others run where it was never installed.
 ROS_PROGRAMS = frozenset({f'{PACKAGE}.apps.calibrator', f'{PACKAGE}.apps.demo'})
@@ -50,6 +51,7 @@ ROS_MODULES = frozenset({
 DEPENDENCIES = {
     'cdflib': frozenset({'datasets', 'simulation'}),
     'cv2': frozenset({'core', 'simulation', 'report', 'datasets', 'apps'}),
+    'ezc3d': frozenset({'importing'}),
     'matplotlib': frozenset({'report'}),
     'poselib': frozenset({'apps'}),
     'rich': frozenset({'apps'}),
@@ -248,7 +250,7 @@ def test_every_dependency_is_declared_for_rosdep() -> None:
     """What the package imports, package.xml names by its rosdep key."""
     keys = {'cv2': 'python3-opencv', 'launch': 'ros2launch', 'launch_ros': 'ros2launch'}
     keys |= {name: f'python3-{name}' for name in ('matplotlib', 'numpy', 'rich', 'yaml')}
-    optional = {'cdflib', 'poselib', 'scipy'}  # of datasets and benchmark
+    optional = {'cdflib', 'ezc3d', 'poselib', 'scipy'}  # of datasets, import and benchmark
     without_key = {PACKAGE, 'rosbags', *optional, *sys.stdlib_module_names}
     tops = {name.split('.')[0] for module in package_modules() for _, name in imports(module)}
     used = {keys.get(top, top) for top in tops - without_key}

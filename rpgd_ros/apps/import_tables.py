@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Says what import_recording understood of the files."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from rpgd_ros.apps.import_inputs import Inputs
+from rpgd_ros.importing.plan import CameraPlan, Plan
+
+NO_POSES = (
+    'the calibration gives no poses for several cameras: without camera_T_world in the rig file '
+    'they cannot be calibrated against together'
+)
+
+
+def print_plan(console: Console, plan: Plan, inputs: Inputs) -> None:
+    """Print streams, joints, durations, units and warnings."""
+    skeleton = plan.skeleton
+    file = skeleton.source
+    axes = f'its {skeleton.up} axis turned to z' if skeleton.up else 'axes as in the file'
+    standing = f', body along {skeleton.standing}' if skeleton.standing else ''
+    stated = 'stated' if file.units == skeleton.units else 'as asked for'
+    _say(console, f'skeleton    {file.path} ({file.format})')
+    _say(
+        console,
+        f'            {len(skeleton.time_s)} frames at {skeleton.fps:.4g} Hz, '
+        f'{skeleton.time_s[0]:.3f} to {skeleton.time_s[-1]:.3f} s; {len(skeleton.joints)} joints',
+    )
+    _say(
+        console,
+        f'            positions in {skeleton.units} ({stated}), body {skeleton.size_m:.2f} m; '
+        f'{axes}{standing}',
+    )
+    _say(console, f'calibration {len(inputs.cameras)} cameras ({", ".join(inputs.formats)})')
+    console.print(_streams(plan))
+    for camera in plan.cameras:
+        _say_joints(console, plan, camera)
+    for warning in _warnings(plan, inputs):
+        _say(console, f'warning: {warning}')
+
+
+def _say(console: Console, sentence: str) -> None:
+    """Print a sentence with foreign words in it as it is."""
+    console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+
+
+def _streams(plan: Plan) -> Table:
+    headings = ('frames', 'Hz', 'from s', 'to s', 'nobody', 'others', 'seen', 'pairs')
+    table = Table('camera', 'format')
+    for heading in headings:
+        table.add_column(heading, justify='right')
+    for camera in plan.cameras:
+        found = camera.detections
+        seen = float((found.scores > 0.0).mean())
+        table.add_row(
+            camera.camera.name,
+            found.format,
+            str(len(found.frames)),
+            f'{camera.fps:g}',
+            f'{camera.time_s[0]:.3f}',
+            f'{camera.time_s[-1]:.3f}',
+            str(found.n_empty),
+            str(found.n_others),
+            f'{seen:.0%}',
+            str(len(camera.pairs)),
+        )
+    return table
+
+
+def _say_joints(console: Console, plan: Plan, camera: CameraPlan) -> None:
+    """Say which joints are paired; once for all cameras that have the same."""
+    same = [c.camera.name for c in plan.cameras if c.pairs == camera.pairs]
+    if same[0] != camera.camera.name:
+        return
+    joints = plan.skeleton.joints
+    pairs = ', '.join(f'{camera.joints[k]} = {joints[j]}' for j, k in camera.pairs)
+    left = {
+        'keypoints without a joint': [
+            n for k, n in enumerate(camera.joints) if k not in {k for _, k in camera.pairs}
+        ],
+        'joints without a keypoint': [
+            n for j, n in enumerate(joints) if j not in {j for j, _ in camera.pairs}
+        ],
+    }
+    _say(console, f'{", ".join(same)}: {pairs}')
+    for what, names in left.items():
+        if names:
+            _say(console, f'  {what}: {", ".join(names)}')
+
+
+def _warnings(plan: Plan, inputs: Inputs) -> list[str]:
+    warnings = [*plan.skeleton.warnings, *(w for c in plan.cameras for w in c.warnings)]
+    without = ', '.join(inputs.without_keypoints)
+    if without:
+        warnings.append(f'no keypoints for {without}: left out')
+    if len(plan.cameras) > 1 and any(c.camera.camera_T_world is None for c in plan.cameras):
+        warnings.append(NO_POSES)
+    return warnings

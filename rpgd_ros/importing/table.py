@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CSV: a column of times or frame numbers, and three columns for each joint."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rpgd_ros.core.errors import Reason
+from rpgd_ros.importing.skeleton import AXES, MAX_FPS, Axis, SkeletonFile
+from rpgd_ros.importing.text import check_times, number, numbers, read_lines, refuse, shown
+from rpgd_ros.io.rig import METRES_PER
+
+FORMAT: Final = 'CSV'
+LAYOUT: Final = (
+    "'time' (s) or 'frame', then three columns per joint: left_hip.x, left_hip.y, left_hip.z (or "
+    'left_hip_x ...); before it lines such as # units: mm, # up: z, # fps: 100'
+)
+FACTS: Final = ('units', 'up', 'fps')
+
+
+def read_csv(path: Path, fps: float | None = None) -> SkeletonFile:
+    """Read a CSV file with the header that `LAYOUT` describes.
+
+    Args:
+        path: The file; columns are separated by commas, semicolons or tabs.
+        fps: Rate of frame numbers, where the file does not state it.
+
+    Raises:
+        InputError: BAD_INPUT or WRONG_UNIT, naming file and line.
+
+    """
+    lines = read_lines(path)
+    facts, n_before = _facts(path, lines)
+    if n_before >= len(lines) or not lines[n_before].strip():
+        refuse(path, n_before + 1, f'the header is missing: need {LAYOUT}')
+    separator = max(',;\t', key=lines[n_before].count)
+    rows = csv.reader(lines[n_before:], delimiter=separator)
+    header = [cell.strip() for cell in next(rows)]
+    joints = _joints(path, n_before + 1, header)
+    values: list[list[float]] = []
+    places: list[int] = []
+    for i, cells in enumerate(rows, start=n_before + 2):
+        if any(cell.strip() for cell in cells):
+            if len(cells) != len(header):
+                refuse(path, i, f'{len(cells)} columns, the header has {len(header)}')
+            values.append(numbers(cells, path, i))
+            places.append(i)
+    table = np.array(values).reshape(-1, len(header))
+    time_s = table[:, 0]
+    check_times(path, time_s, places)
+    if header[0].lower() == 'frame':
+        time_s = time_s / _rate(path, facts, fps)
+    units, line = facts.get('units', ('', 0))
+    up = facts.get('up', ('', 0))[0]
+    return SkeletonFile(
+        path,
+        FORMAT,
+        joints,
+        time_s,
+        table[:, 1:].reshape(len(table), len(joints), 3),
+        units or None,
+        line,
+        up=_axis(up),
+    )
+
+
+def _facts(path: Path, lines: list[str]) -> tuple[dict[str, tuple[str, int]], int]:
+    """Read lines such as `# units: mm`; return value and line by key, and how many lines."""
+    facts: dict[str, tuple[str, int]] = {}
+    n = 0
+    while n < len(lines) and lines[n].startswith('#'):
+        key, colon, value = lines[n][1:].partition(':')
+        if colon and key.strip().lower() in FACTS:
+            facts[key.strip().lower()] = value.strip().lower(), n + 1
+        n += 1
+    units, line = facts.get('units', ('m', 0))
+    if units not in METRES_PER:
+        msg = f'units {shown(units)} are unknown, need one of {", ".join(METRES_PER)}'
+        refuse(path, line, msg, Reason.WRONG_UNIT)
+    up, line = facts.get('up', ('z', 0))
+    if up not in AXES:
+        refuse(path, line, f'up {shown(up)} is no axis, need x, y or z')
+    return facts, n
+
+
+def _axis(text: str) -> Axis | None:
+    return next((axis for axis in AXES if axis == text), None)
+
+
+def _rate(path: Path, facts: dict[str, tuple[str, int]], fps: float | None) -> float:
+    if fps is not None:
+        return fps
+    if 'fps' not in facts:
+        refuse(path, None, 'has frame numbers and no rate: give --mocap-fps, or a line # fps: 100')
+    text, line = facts['fps']
+    rate = number(text, path, line, 'fps')
+    if not 0.0 < rate <= MAX_FPS:
+        refuse(path, line, f'fps {rate:g} is no frame rate, need 1 to {MAX_FPS:g} Hz')
+    return rate
+
+
+def _joints(path: Path, line: int, header: list[str]) -> tuple[str, ...]:
+    if header[0].lower() not in {'time', 'frame'} or len(header) < 4 or len(header) % 3 != 1:
+        refuse(path, line, f'the header is not understood: need {LAYOUT}')
+    joints = []
+    for i in range(1, len(header), 3):
+        names = {cell[:-2] for cell in header[i : i + 3]}
+        ends = [cell[-2:].lower().replace('_', '.') for cell in header[i : i + 3]]
+        if len(names) != 1 or ends != ['.x', '.y', '.z']:
+            found = ', '.join(shown(cell) for cell in header[i : i + 3])
+            refuse(path, line, f'columns {i + 1} to {i + 3} are {found}: need {LAYOUT}')
+        joints.append(names.pop())
+    return tuple(joints)
