@@ -34,9 +34,10 @@ and print the publication's table with the published figures beside ours.
 EPILOG = """\
 folders, in the datasets' own layouts:
   aistpp         annotations of AIST++: keypoints2d/ keypoints3d/ cameras/ ignore_list.txt
-  human36m       S*/MyPoseFeatures/D2_Positions and D3_Positions (.cdf), and metadata.xml
+  human36m       S*/MyPoseFeatures/D2_Positions and D3_Positions (.cdf), and metadata.xml;
+                 or data_3d_h36m.npz, data_2d_h36m_gt.npz, and metadata.xml
   mpi_inf_3dhp   S*/Seq*/annot.mat and camera.calibration
-  The last two need libraries for their files: pip install 'rpgd_ros[datasets]'
+  .cdf and .mat files need libraries: pip install 'rpgd_ros[datasets]'
 
 The datasets give skeletons in the world frame, where the answer would be the identity: each
 sequence is first moved by a transform that its name draws.

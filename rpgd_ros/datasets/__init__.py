@@ -8,6 +8,7 @@ from typing import Literal
 
 from rpgd_ros.datasets.aistpp import Aistpp
 from rpgd_ros.datasets.human36m import Human36m
+from rpgd_ros.datasets.human36m_npz import SKELETONS, Human36mNpz
 from rpgd_ros.datasets.mpi_inf_3dhp import MpiInf3dhp
 from rpgd_ros.datasets.sequence import Dataset, DatasetSequence, drawn_pose
 
@@ -19,6 +20,7 @@ __all__ = [
     'DatasetName',
     'DatasetSequence',
     'Human36m',
+    'Human36mNpz',
     'MpiInf3dhp',
     'drawn_pose',
     'open_dataset',
@@ -39,6 +41,8 @@ def open_dataset(kind: DatasetName, folder: Path, *, is_published: bool = False)
     """
     if kind == 'aistpp':
         return Aistpp.open(folder, is_published=is_published)
+    if kind == 'human36m' and (folder / SKELETONS).is_file():
+        return Human36mNpz.open(folder, is_published=is_published)
     if kind == 'human36m':
         return Human36m.open(folder, is_published=is_published)
     return MpiInf3dhp.open(folder)

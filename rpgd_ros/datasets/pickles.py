@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the pickles of AIST++ without running what they say.
+"""Reads pickles of datasets without running what they say.
 
 A pickle is a program. Here it may name nine things, all of them needed to store numpy arrays, and
 none of them is what it names: each is replaced by a small class of this module that checks what it
@@ -9,6 +9,8 @@ is given. Not even numpy's own unpickling runs, which trusts shapes and lists.
 from __future__ import annotations
 
 import pickle
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -20,7 +22,10 @@ from numpy.typing import NDArray
 from rpgd_ros.datasets.files import require_size
 from rpgd_ros.datasets.sequence import refusal, shown
 
-MAX_BYTES = 256 * 2**20  # the longest sequence of AIST++ takes 5 MiB
+# The longest sequence of AIST++ takes 5 MiB; all skeletons of Human3.6M together 200, keypoints
+# 300 once they are unpacked.
+MAX_BYTES = 256 * 2**20
+MAX_UNPACKED_BYTES = 512 * 2**20
 NUMERIC = frozenset('biuf')
 # What unpickling raises on damaged bytes.
 DAMAGE = (
@@ -30,20 +35,27 @@ DAMAGE = (
 
 
 class _Dtype:
-    """Stands for a numpy.dtype of numbers."""
+    """Stands for a numpy.dtype of numbers, or of one object of any kind allowed here."""
 
     def __init__(self, text: str, *_flags: object) -> None:
-        self.dtype = np.dtype(text if isinstance(text, str) else 'O')
-        if self.dtype.kind not in NUMERIC:
+        self.dtype = np.dtype(text if isinstance(text, str) else 'V')
+        self.is_object = self.dtype.kind == 'O'
+        if self.dtype.kind not in NUMERIC and not self.is_object:
             msg = f'values of type {shown(text)} are no numbers'
             raise ValueError(msg)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         _version, order, *_rest = state
-        self.dtype = self.dtype.newbyteorder(order)
+        if not self.is_object:
+            self.dtype = self.dtype.newbyteorder(order)
 
-    def array(self, data: bytes, shape: tuple[int, ...], order: str) -> NDArray[Any]:
-        """Return numbers from bytes, which must be as many as the shape says."""
+    def array(self, data: Any, shape: tuple[int, ...], order: str) -> Any:
+        """Return numbers from bytes, which must be as many as the shape says; or the object."""
+        if self.is_object:
+            if shape != () or not isinstance(data, list) or len(data) != 1:
+                msg = 'an array of objects'
+                raise ValueError(msg)
+            return data[0]
         values: NDArray[Any] = np.frombuffer(data, self.dtype).reshape(
             shape, order='F' if order == 'F' else 'C'
         )
@@ -51,9 +63,9 @@ class _Dtype:
 
 
 class _Array:
-    """Stands for a numpy.ndarray that is being filled."""
+    """Stands for a numpy.ndarray that is being filled; an array of one object is that object."""
 
-    value: NDArray[Any]
+    value: Any
 
     def __init__(self, *_type_shape_code: object) -> None:
         self.value = np.zeros(0)
@@ -127,5 +139,53 @@ def arrays_of(path: Path, file: BinaryIO) -> dict[str, NDArray[Any]]:
     return {
         key: value.value
         for key, value in tree.items()
-        if isinstance(key, str) and isinstance(value, _Array)
+        if isinstance(key, str)
+        and isinstance(value, _Array)
+        and isinstance(value.value, np.ndarray)
     }
+
+
+def read_npz_tree(path: Path, name: str) -> dict[str, dict[str, Any]]:
+    """Read a mapping of mappings that somebody gave to numpy.savez.
+
+    Args:
+        path: Of the .npz file.
+        name: Of the array in it: one object, which is a pickle.
+
+    Returns:
+        Outer key -> inner key -> an array of numbers, or a tuple of such arrays; entries of other
+        kinds are left out.
+
+    Raises:
+        InputError: Missing, too large, damaged, or something else.
+
+    """
+    require_size(path, MAX_BYTES)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            member = archive.getinfo(f'{name}.npy')
+            if member.file_size > MAX_UNPACKED_BYTES:
+                raise refusal(path, f'{name} unpacks to {member.file_size} bytes: too many')
+            with archive.open(member) as file:
+                if np.lib.format.read_magic(file) != (1, 0):
+                    raise refusal(path, f'{name} is no array of one object')
+                np.lib.format.read_array_header_1_0(file)
+                tree = _Unpickler(file).load()
+    except (*DAMAGE, zipfile.BadZipFile, zlib.error, RuntimeError) as error:
+        raise refusal(path, f'no {name}: {shown(str(error))}') from error
+    tree = tree.value if isinstance(tree, _Array) else None
+    if not isinstance(tree, dict):
+        raise refusal(path, f'{name} is no mapping')
+    return {
+        str(outer): {str(inner): _plain(value) for inner, value in entries.items()}
+        for outer, entries in tree.items()
+        if isinstance(entries, dict)
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return the array, or the tuple of arrays, of an entry; None for other things."""
+    if isinstance(value, list | tuple):
+        return tuple(_plain(part) for part in value if isinstance(part, _Array))
+    found = value.value if isinstance(value, _Array) else None
+    return found if isinstance(found, np.ndarray) else None
