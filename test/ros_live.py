@@ -79,12 +79,13 @@ class Live:
 
 
 @contextmanager
-def live(rig: Path, *parameters: str) -> Iterator[Live]:
+def live(rig: Path, *parameters: str, namespace: str = '') -> Iterator[Live]:
     """Run the node with a rig file; its result file is `result.yaml` beside that.
 
     Args:
         rig: Rig file.
         parameters: As `name:=value`; automatic calibration is off unless they say otherwise.
+        namespace: Of the node and its peer.
 
     """
     domain = free_domain()
@@ -97,8 +98,10 @@ def live(rig: Path, *parameters: str) -> Iterator[Live]:
         *parameters,
     )
     arguments = [*CALIBRATOR, '--ros-args', *(word for p in given for word in ('-p', p))]
+    if namespace:
+        arguments += ['-r', f'__ns:={namespace}']
     with (
         running(arguments, ros_environment(domain)) as child,
-        Peer('peer', domain_id=domain) as peer,
+        Peer('peer', domain_id=domain, namespace=namespace) as peer,
     ):
         yield Live(child, peer, CalibratorClient(peer, read_rig(rig)))

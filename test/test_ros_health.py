@@ -159,7 +159,8 @@ def test_sentence_tells_what_to_do_next(calibration: Calibration) -> None:
 
     def told(inputs: list[Health], last: Outcome | None, **state: Any) -> str:
         defaults = {'running': '', 'motion_m': 0.0, 'needed_motion_m': 1.0, 'age_s': math.nan}
-        return health.sentence(inputs, last, **{**defaults, **state})
+        found = last.calibration if last else None
+        return health.sentence(inputs, last, found, **{**defaults, **state})
 
     silent = FINE._replace(problem='nobody publishes /cam0/keypoints')
     refused = Outcome(Reason.UNCERTAIN, 'sigma 3.0 deg, need 1.0')

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import signal
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -265,3 +266,102 @@ def test_intrinsics_may_come_as_camera_info(walk: Scene, rig: Path) -> None:
         node.advertise({topic: CAMERA_INFO for topic, _, _ in infos})
         node.peer.play(infos, rate=1.0)
         node.wait_until('no intrinsics', lambda: node.calibrate()[0])
+
+
+def test_node_lives_in_a_namespace(walk: Scene, rig: Path) -> None:
+    """Inputs are relative names, outputs and services the node's own."""
+    with live(rig, namespace='/hall') as node:
+        node.play(walk)
+        assert node.calibrate()[0]
+        assert node.latched('transform', TransformStamped).child_frame_id == MOCAP_FRAME
+
+
+def test_only_the_wanted_cameras_are_used(walk: Scene, rig: Path) -> None:
+    """A camera that is known to be bad is left out by a parameter."""
+    with live(rig, "cameras:=['cam0', 'cam2']") as node:
+        peer = node.peer
+        wanted = [
+            m for m in walk.messages if m[0] in {MOCAP_TOPIC, 'cam0/keypoints', 'cam2/keypoints'}
+        ]
+        node.advertise({topic: walk.topics[topic] for topic, _, _ in wanted})
+        sent = peer.play(wanted, rate=8.0)
+        node.wait_until('not counted', lambda: sum(node.received().values()) == sum(sent.values()))
+        success, answer = node.calibrate()
+        assert success
+        assert set(answer['cameras']) == {'cam0', 'cam2'}
+
+
+def test_load_publishes_what_the_file_holds(walk: Scene, rig: Path) -> None:
+    """A file put there by hand is taken without a restart; without one the reason is told."""
+    with live(rig, 'load_on_start:=false') as node:
+        assert 'result.yaml' in node.call('load').message
+        node.play(walk)
+        node.calibrate()
+        found = bits(node.latched('transform', TransformStamped))
+        path = rig.parent / 'result.yaml'
+        path.write_text(path.read_text().replace('world_frame: world', 'world_frame: elsewhere'))
+        refused = node.call('load')
+        assert not refused.success
+        assert json.loads(refused.message)['reason'] == 'bad_result_file'
+        path.write_text(path.read_text().replace('elsewhere', 'world'))
+        assert node.call('load').success
+        assert bits(node.latched('transform', TransformStamped)) == found
+
+
+def test_revert_goes_back_to_the_calibration_before(walk: Scene, rig: Path) -> None:
+    """A second walk with a bumped camera is undone, on the topics and in the file."""
+    with live(rig) as node:
+        node.advertise(walk.topics)
+        half = len(walk.messages) // 2
+        node.peer.play(walk.messages[:half], rate=8.0)
+        node.wait_until('not counted', lambda: sum(node.received().values()) == half)
+        first = node.calibrate()[1]
+        assert not node.call('revert').success
+        node.peer.play(walk.messages[half:], rate=8.0)
+        node.wait_until('not counted', lambda: sum(node.received().values()) == len(walk.messages))
+        second = node.calibrate()[1]
+        assert second['xyz'] != first['xyz']
+        assert node.call('revert').success
+        node.wait_until(
+            'not published',
+            lambda: bits(node.latched('transform', TransformStamped)) == answered_bits(first),
+        )
+        stored = read_result(rig.parent / 'result.yaml')
+        assert stored.world_T_mocap.translation.tolist() == first['xyz']
+
+
+def test_bad_result_file_does_not_keep_the_node_from_starting(walk: Scene, rig: Path) -> None:
+    """It is said, the file stays for a look, and a new result goes beside its backup."""
+    (rig.parent / 'result.yaml').write_text('schema: 99\n')
+    with live(rig) as node:
+        node.play(walk)
+        node.child.wait_for('nothing is published from the result file', seconds=WAIT_S)
+        assert node.calibrate()[0]
+    assert_close(read_result(rig.parent / 'result.yaml').world_T_mocap, walk)
+
+
+@pytest.mark.skipif(bool(find_spec('tf2_msgs')), reason='tf2_msgs is installed')
+def test_missing_tf2_msgs_is_said_once(walk: Scene, rig: Path) -> None:
+    """The wheels have no tf2_msgs: everything but /tf_static works."""
+    with live(rig, 'tf_mode:=static') as node:
+        node.play(walk)
+        assert node.calibrate()[0]
+        assert node.calibrate()[0]
+        assert node.child.output.count('tf2_msgs is not installed') == 1
+
+
+def test_tf_static_carries_each_new_result(walk: Scene, rig: Path) -> None:
+    """A listener of TF gets the same transform as one of ~/transform, again and again."""
+    messages = pytest.importorskip('tf2_msgs.msg')
+    with live(rig, 'tf_mode:=static') as node:
+        node.peer.listen('/tf_static', messages.TFMessage)
+        node.play(walk)
+        for _ in range(2):
+            answer = node.calibrate()[1]
+            node.wait_until(
+                'no /tf_static',
+                lambda answer=answer: (
+                    node.peer.newest('/tf_static') is not None
+                    and bits(node.peer.newest('/tf_static').transforms[0]) == answered_bits(answer)
+                ),
+            )

@@ -17,6 +17,7 @@ from ros_scene import Scene, make_scene
 from rpgd_ros.ros.client import NODE
 from rpgd_ros.ros.domain import free_domain
 from rpgd_ros.ros.parameters_text import calibrator_yaml
+from rpgd_ros.ros.player import Peer
 
 END_S = 2.0  # launch escalates after 5
 
@@ -119,13 +120,17 @@ def test_help_teaches_the_three_commands(tmp_path: Path) -> None:
 
 
 def test_example_parameter_file_is_taken_as_it_is(walk: Scene, tmp_path: Path) -> None:
-    """A copy of config/calibrator.yaml starts the node; the result goes to its default place."""
+    """A copy of config/calibrator.yaml starts the node."""
     path = tmp_path / 'calibrator.yaml'
     path.write_text(calibrator_yaml().replace("rig_file: ''", f"rig_file: '{walk.rig}'"))
-    environment = ros_environment(free_domain(), HOME=str(tmp_path))
+    domain = free_domain()
     arguments = [*CALIBRATOR, '--ros-args', '--params-file', str(path)]
-    with running(arguments, environment) as child:
-        child.wait_for('/tf_static is not published|tf2_msgs', seconds=WAIT_S)
+    with (
+        running(arguments, ros_environment(domain, HOME=str(tmp_path))) as child,
+        Peer('peer', domain_id=domain) as peer,
+    ):
+        peer.listen_diagnostics()
+        assert peer.wait_until(lambda: bool(peer.diagnostics('mocap')), seconds=WAIT_S)
         assert child.end(signal.SIGTERM, seconds=WAIT_S) == 0, child.output
 
 

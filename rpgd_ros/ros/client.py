@@ -12,7 +12,7 @@ from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.io.rig import Rig
 from rpgd_ros.ros.player import Peer
 
-NODE = '/rpgd_calibrator'
+NODE = 'rpgd_calibrator'  # relative: the peer shares its namespace
 
 
 class CalibratorClient:
@@ -24,7 +24,7 @@ class CalibratorClient:
         Args:
             peer: Takes the messages.
             rig: The calibrator's rig.
-            node: Full name of the calibrator.
+            node: Name of the calibrator, relative to the peer's namespace.
 
         """
         self._peer = peer

@@ -92,6 +92,21 @@ class Engine:
         ended = await self._in_worker(partial(self.results.write_again, self._worker))
         return self._told(ended, f'saved to {self.results.path}')
 
+    async def revert(self) -> tuple[bool, str]:
+        """Publish and save the accepted calibration before the published one.
+
+        Returns:
+            Whether that could be done, and what to answer.
+
+        """
+        if self.is_busy:
+            return False, answer(BUSY)
+        ended = attempt(self.results.step_back)
+        if isinstance(ended, Exception):
+            return self._told(ended, '')
+        is_saved, message = await self.save()
+        return is_saved, 'the previous calibration is published and saved' if is_saved else message
+
     def load(self) -> tuple[bool, str]:
         """Publish what the result file holds.
 

@@ -86,7 +86,7 @@ def calibration_status(
 
     Args:
         last: How the last run ended, None before the first.
-        accepted: The newest accepted calibration of this process, if any.
+        accepted: The calibration of this process that is published, if any.
         age_s: Time since the published pose was found, NaN where none is published.
         n_errors: Exceptions that nobody foresaw.
 
@@ -120,6 +120,7 @@ def _verdict(last: Outcome | None, *, is_published: bool) -> tuple[bytes, str]:
 def sentence(
     inputs: Sequence[Health],
     last: Outcome | None,
+    accepted: Calibration | None,
     *,
     running: str,
     motion_m: float,
@@ -131,6 +132,7 @@ def sentence(
     Args:
         inputs: State of each subscription.
         last: How the last run ended, None before the first.
+        accepted: The calibration of this process that is published, if any.
         running: What a running solve does, '' without one.
         motion_m: How far the body has moved, metres.
         needed_motion_m: How far it must before an automatic run, metres.
@@ -141,8 +143,8 @@ def sentence(
     problems = [health.problem for health in inputs if health.problem]
     if running:
         return f'Calibrating: {running}.'
-    if last is not None and last.calibration is not None:
-        return f'Calibrated {age_s:.0f} s ago: {in_short(last.calibration)}.'
+    if last is not None and last.is_accepted and accepted is not None:
+        return f'Calibrated {age_s:.0f} s ago: {in_short(accepted)}.'
     if problems:
         return f'Waiting: {"; ".join(problems)}.{published}'
     if last is not None:

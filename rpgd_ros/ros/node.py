@@ -93,6 +93,7 @@ class CalibratorNode(Node):
         group = ReentrantCallbackGroup()
         self.create_service(Trigger, '~/calibrate', self._on_calibrate, callback_group=group)
         self.create_service(Trigger, '~/save', self._on_save, callback_group=group)
+        self.create_service(Trigger, '~/revert', self._on_revert, callback_group=group)
         self.create_service(Trigger, '~/load', self._on_load)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(SetBool, '~/set_enabled', self._on_set_enabled)
@@ -170,6 +171,12 @@ class CalibratorNode(Node):
         response.success, response.message = await self._engine.save()
         return response
 
+    async def _on_revert(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.success, response.message = await self._engine.revert()
+        return response
+
     def _on_load(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = self._engine.load()
         return response
@@ -208,6 +215,7 @@ class CalibratorNode(Node):
         sentence = health.sentence(
             list(inputs.values()),
             engine.last,
+            engine.results.accepted,
             running=engine.running,
             motion_m=engine.session.motion_m(),
             needed_motion_m=self._live.config.buffer.min_motion,

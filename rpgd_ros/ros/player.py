@@ -46,6 +46,7 @@ class Peer:
         name: str,
         *,
         domain_id: int | None = None,
+        namespace: str = '',
         check: Callable[[], None] | None = None,
     ) -> None:
         """Join the graph.
@@ -53,13 +54,16 @@ class Peer:
         Args:
             name: Name of the node.
             domain_id: Domain; None = that of the environment.
+            namespace: For topics and services with relative names.
             check: Called at every step of a wait and of a replay; ends either by raising.
 
         """
         self._check = check or (lambda: None)
         self._context = Context()
         self._context.init(domain_id=domain_id)
-        self.node = Node(name, context=self._context, start_parameter_services=False)
+        self.node = Node(
+            name, namespace=namespace, context=self._context, start_parameter_services=False
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._publishers: dict[str, Publisher] = {}

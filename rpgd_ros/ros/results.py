@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from pathlib import Path
+from typing import NamedTuple
 
 from rclpy.node import Node
 
@@ -20,7 +22,25 @@ from rpgd_ros.ros.worker import Worker
 DEFAULT_FOLDER = Path('~/.ros/rpgd')
 DEFAULT_MOCAP_FRAME = 'mocap'  # where neither rig file nor messages name one
 
+MAX_HISTORY = 10  # accepted calibrations of this process that ~/revert can go back through
+NS_PER_S = 1_000_000_000
+
 Frames = tuple[str, str]
+
+
+class Accepted(NamedTuple):
+    """One accepted calibration.
+
+    Attributes:
+        calibration: What was found.
+        frames: World and MoCap frame.
+        found_ns: When, by the wall clock.
+
+    """
+
+    calibration: Calibration
+    frames: Frames
+    found_ns: int
 
 
 class Results:
@@ -28,7 +48,6 @@ class Results:
 
     Attributes:
         path: Of the result file.
-        accepted: The newest calibration of this process, or None.
 
     """
 
@@ -46,13 +65,17 @@ class Results:
         """
         default = DEFAULT_FOLDER / f'{node.get_name()}.yaml'
         self.path = (Path(result_file) if result_file else default).expanduser()
-        self.accepted: Calibration | None = None
         self._node = node
         self._output = output
         self._world_frame = world_frame
-        self._frames: Frames = (world_frame, DEFAULT_MOCAP_FRAME)
+        self._history: deque[Accepted] = deque(maxlen=MAX_HISTORY)
         self._published: Published | None = None
         self._found_s = math.nan  # of the wall clock: the file outlives the process
+
+    @property
+    def accepted(self) -> Calibration | None:
+        """The calibration of this process that is published, or None."""
+        return self._history[-1].calibration if self._history else None
 
     @property
     def pose(self) -> RigidTransform | None:
@@ -70,13 +93,40 @@ class Results:
 
     def accept(self, calibration: Calibration, frames: Frames) -> None:
         """Publish an accepted calibration."""
-        self.accepted, self._frames = calibration, frames
-        self._publish(
-            frames, calibration.world_T_mocap, calibration.covariance, found_s=time.time()
-        )
+        self._history.append(Accepted(calibration, frames, time.time_ns()))
+        self._publish_newest()
 
-    def write(self, frames: Frames, worker: Worker, calibration: Calibration) -> None:
+    def step_back(self) -> None:
+        """Publish the accepted calibration before the published one, which is forgotten.
+
+        Raises:
+            InputError: NO_DATA. There is none of this process.
+
+        """
+        if len(self._history) < 2:
+            msg = (
+                'nothing to go back to: fewer than two calibrations were accepted since the node '
+                f'started; older ones are the backups beside {self.path}'
+            )
+            raise InputError(Reason.NO_DATA, msg)
+        self._history.pop()
+        self._publish_newest()
+
+    def write(
+        self,
+        frames: Frames,
+        worker: Worker,
+        calibration: Calibration,
+        *,
+        found_ns: int | None = None,
+    ) -> None:
         """Write the result file; for the worker's thread.
+
+        Args:
+            frames: World and MoCap frame.
+            worker: Keeps the process alive meanwhile.
+            calibration: What was found.
+            found_ns: When; None = now.
 
         Raises:
             InputError: NOT_WRITABLE.
@@ -89,20 +139,21 @@ class Results:
                 calibration,
                 world_frame=frames[0],
                 mocap_frame=frames[1],
-                stamp_ns=time.time_ns(),
+                stamp_ns=found_ns or time.time_ns(),
             )
 
     def write_again(self, worker: Worker) -> None:
-        """Write the newest accepted calibration again; for the worker's thread.
+        """Write the published calibration again; for the worker's thread.
 
         Raises:
             InputError: NO_DATA, nothing was accepted since the start; NOT_WRITABLE.
 
         """
-        if self.accepted is None:
+        if not self._history:
             msg = 'nothing to save: no calibration was accepted since the node started'
             raise InputError(Reason.NO_DATA, msg)
-        self.write(self._frames, worker, self.accepted)
+        calibration, frames, found_ns = self._history[-1]
+        self.write(frames, worker, calibration, found_ns=found_ns)
 
     def load(self) -> None:
         """Publish what the result file holds.
@@ -120,9 +171,7 @@ class Results:
             )
             raise InputError(Reason.BAD_RESULT_FILE, msg)
         frames = (stored.world_frame, stored.mocap_frame)
-        self._publish(
-            frames, stored.world_T_mocap, stored.covariance, found_s=stored.stamp_ns * 1e-9
-        )
+        self._publish(frames, stored.world_T_mocap, stored.covariance, found_ns=stored.stamp_ns)
         self._output.publish_error(stored.mpjpe_px)
 
     def load_at_start(self) -> None:
@@ -143,8 +192,12 @@ class Results:
         """Publish the mean error of the published pose over the newest data, pixels."""
         self._output.publish_error(error_px)
 
+    def _publish_newest(self) -> None:
+        calibration, frames, found_ns = self._history[-1]
+        self._publish(frames, calibration.world_T_mocap, calibration.covariance, found_ns=found_ns)
+
     def _publish(
-        self, frames: Frames, world_T_mocap: RigidTransform, covariance: Array, *, found_s: float
+        self, frames: Frames, world_T_mocap: RigidTransform, covariance: Array, *, found_ns: int
     ) -> None:
         self._published = Published(
             world_frame=frames[0],
@@ -153,7 +206,7 @@ class Results:
             covariance=covariance,
             stamp_ns=self._node.get_clock().now().nanoseconds,
         )
-        self._found_s = found_s
+        self._found_s = found_ns / NS_PER_S
         self._output.publish(self._published)
 
 
