@@ -45,13 +45,13 @@ def read_trc(path: Path, *, check_rate: bool = True) -> SkeletonFile:
     n_markers = int(number(_need(header, 'NumMarkers', path), path, VALUES, 'NumMarkers'))
     if n_markers != len(joints):
         refuse(path, NAMES, f'{len(joints)} marker names, but NumMarkers is {n_markers}')
-    time_s, values = _rows(lines, path, len(joints))
+    frames, time_s, values = _rows(lines, path, len(joints))
     n_frames = int(number(_need(header, 'NumFrames', path), path, VALUES, 'NumFrames'))
     notes = () if n_frames == len(time_s) else (
         f'the header promises {n_frames} frames, the file has {len(time_s)}',
     )  # fmt: skip
     if check_rate and len(time_s) > 1:
-        _check_rate(path, rate, time_s)
+        _check_rate(path, rate, frames, time_s)
     return SkeletonFile(
         path, FORMAT, joints, time_s, values, UNITS[word.lower()], VALUES, notes=notes
     )
@@ -69,12 +69,13 @@ def _need(header: dict[str, str], key: str, path: Path) -> str:
 
 def _names(line: str, path: Path) -> tuple[str, ...]:
     cells = _cells(line)
-    if len(cells) < 3 or not cells[0].startswith('Frame'):
+    if len(cells) < 3 or not cells[0].startswith('Frame') or cells[1] != 'Time':
         refuse(path, NAMES, 'need Frame#, Time and the marker names, separated by tabs')
     return tuple(name for name in cells[2:] if name)
 
 
-def _rows(lines: list[str], path: Path, n_joints: int) -> tuple[Array, Array]:
+def _rows(lines: list[str], path: Path, n_joints: int) -> tuple[Array, Array, Array]:
+    """Return frame numbers (T,), seconds (T,) and positions (T, J, 3)."""
     width = 2 + 3 * n_joints
     rows: list[list[float]] = []
     places: list[int] = []
@@ -94,11 +95,11 @@ def _rows(lines: list[str], path: Path, n_joints: int) -> tuple[Array, Array]:
         places.append(i)
     table = np.array(rows, dtype=np.float64).reshape(-1, width)
     check_times(path, table[:, 1], places)
-    return table[:, 1], table[:, 2:].reshape(len(table), n_joints, 3)
+    return table[:, 0], table[:, 1], table[:, 2:].reshape(len(table), n_joints, 3)
 
 
-def _check_rate(path: Path, rate: float, time_s: Array) -> None:
-    found = 1.0 / float(np.median(np.diff(time_s)))
+def _check_rate(path: Path, rate: float, frames: Array, time_s: Array) -> None:
+    found = float(np.median(np.diff(frames) / np.diff(time_s)))
     if abs(found / rate - 1.0) > RATE_TOLERANCE:
         msg = (
             f'DataRate is {rate:g} Hz, but the Time column runs at {found:.4g} Hz: give the true '
