@@ -20,6 +20,18 @@ Value = bool | int | float | str | tuple[str, ...]
 
 MAX_SHOWN = 80  # characters of a foreign string in a message
 CAMERA_PREFIX = 'camera.'
+# Stages of `NodeConfig` and their names outside: all that concerns time is called sync.
+STAGES = (
+    ('mocap', 'mocap.'),
+    ('sync', 'sync.'),
+    ('clocks', 'sync.'),
+    ('buffer', 'buffer.'),
+    ('auto', 'auto.'),
+    ('rig', 'rig.'),
+    ('ransac', 'ransac.'),
+    ('refine', 'refine.'),
+    ('accept', 'accept.'),
+)
 FROM_RIG = ('world_frame', 'mocap_frame')
 FROM_RIG_PREFIXES = ('mocap.', CAMERA_PREFIX)
 
@@ -65,8 +77,8 @@ def parameters(cameras: Sequence[str], *, defaults: NodeConfig | None = None) ->
     """List all parameters of a node with these cameras, in the order of the documentation."""
     config = defaults or NodeConfig()
     found = list(_of_stage('', config.node))
-    for stage in ('mocap', 'sync', 'buffer', 'auto', 'ransac', 'refine', 'accept'):
-        found += _of_stage(f'{stage}.', getattr(config, stage))
+    for slot, prefix in STAGES:
+        found += _of_stage(prefix, getattr(config, slot))
     for name in cameras:
         found += _of_stage(f'{CAMERA_PREFIX}{name}.', config.cameras.get(name, CameraSettings()))
     return found
@@ -100,8 +112,9 @@ def read_config(
             before = per_camera.get(camera, CameraSettings())
             per_camera[camera] = _changed(before, values)
         else:
-            slot = stage or 'node'
-            config = _changed(config, {slot: _changed(getattr(config, slot), values)})
+            for key, value in values.items():
+                slot = _slot(config, stage, key)
+                config = _changed(config, {slot: _changed(getattr(config, slot), {key: value})})
     config = replace(config, cameras=per_camera)
     check_cameras(config.node.cameras, cameras)
     return config
@@ -155,6 +168,14 @@ def _of_stage(prefix: str, stage: object) -> Iterator[Parameter]:
         name = prefix + f.name
         is_from_rig = name in FROM_RIG or name.startswith(FROM_RIG_PREFIXES)
         yield Parameter(name, getattr(stage, f.name), s, is_from_rig)
+
+
+def _slot(config: NodeConfig, stage: str, key: str) -> str:
+    """Return the attribute of the configuration that holds `<stage>.<key>`."""
+    if not stage:
+        return 'node'
+    slots = (slot for slot, prefix in STAGES if prefix == f'{stage}.')
+    return next(s for s in slots if hasattr(getattr(config, s), key))
 
 
 def _changed(stage: Any, values: Mapping[str, Any]) -> Any:

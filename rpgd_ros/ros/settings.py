@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from rpgd_ros.core.config import (
@@ -12,7 +12,9 @@ from rpgd_ros.core.config import (
     CalibrationConfig,
     RansacConfig,
     RefineConfig,
+    RigConfig,
     Stage,
+    TimeConfig,
     setting,
 )
 from rpgd_ros.io.rig_types import KEYPOINT_UNITS, METRES_PER
@@ -108,7 +110,9 @@ class NodeConfig:
         mocap: The MoCap system.
         auto: Calibration without a call.
         sync: Pairing in time.
+        clocks: Offsets between the clocks.
         buffer: Bounds of the store.
+        rig: Cameras that contradict the others.
         ransac: Robust start.
         refine: Refinement.
         accept: Gates.
@@ -120,7 +124,9 @@ class NodeConfig:
     mocap: MocapSettings = field(default_factory=MocapSettings)
     auto: AutoConfig = field(default_factory=AutoConfig)
     sync: SyncConfig = field(default_factory=SyncConfig)
+    clocks: TimeConfig = field(default_factory=lambda: CalibrationConfig.thorough().time)
     buffer: BufferConfig = field(default_factory=BufferConfig)
+    rig: RigConfig = field(default_factory=lambda: CalibrationConfig.thorough().rig)
     ransac: RansacConfig = field(default_factory=lambda: CalibrationConfig.thorough().ransac)
     refine: RefineConfig = field(default_factory=lambda: CalibrationConfig.thorough().refine)
     accept: AcceptConfig = field(default_factory=lambda: CalibrationConfig.thorough().accept)
@@ -130,14 +136,21 @@ class NodeConfig:
     def paper(cls) -> NodeConfig:
         """Return the settings with which the node runs the published method."""
         config = CalibrationConfig.paper()
-        return cls(ransac=config.ransac, refine=config.refine, accept=config.accept)
+        return cls(
+            clocks=config.time,
+            rig=config.rig,
+            ransac=config.ransac,
+            refine=config.refine,
+            accept=config.accept,
+        )
 
     def session(self) -> SessionConfig:
         """Return the part that the session needs."""
-        calibration = replace(
-            CalibrationConfig.thorough(),
+        calibration = CalibrationConfig(
             ransac=self.ransac,
             refine=self.refine,
+            time=self.clocks,
+            rig=self.rig,
             accept=self.accept,
             max_seconds=self.node.max_seconds,
         )
