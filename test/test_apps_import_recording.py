@@ -9,7 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_files import kalibr_text, opencv_text, pose_of, qualisys_text, toml_text
+from camera_files import (
+    camera_info_text,
+    kalibr_text,
+    opencv_text,
+    pose_of,
+    qualisys_text,
+    toml_text,
+)
 from shoot import Shoot, assert_finds, make_shoot, run_import, words_of, write_shoot
 from shoot_files import (
     write_alphapose,
@@ -155,7 +162,10 @@ def test_normalised_keypoints_are_taken_when_said_so(folder: Path, shoot: Shoot)
     assert read_rig(folder / 'out/rig.yaml').cameras[0].units == 'normalized'
 
 
-def test_kinect_and_one_video_are_calibrated_without_poses(tmp_path: Path) -> None:
+@pytest.mark.parametrize('calibration_text', [opencv_text, camera_info_text])
+def test_kinect_and_one_video_are_calibrated_without_poses(
+    tmp_path: Path, calibration_text: Callable[[Camera], str]
+) -> None:
     """The publication's case: a Kinect's BVH, 2D labels of one video, chessboard intrinsics.
 
     The camera is the world.
@@ -164,7 +174,7 @@ def test_kinect_and_one_video_are_calibrated_without_poses(tmp_path: Path) -> No
     (camera,) = shoot.cameras
     write_bvh(tmp_path / 'kinect.bvh', shoot.joints, shoot.x_mocap * 100.0)
     write_labels(tmp_path / 'video.json', shoot.uv[0], shoot.keypoints)
-    (tmp_path / 'camera.yml').write_text(opencv_text(camera))
+    (tmp_path / 'camera.yml').write_text(calibration_text(camera))
     changes = {
         'skeleton': tmp_path / 'kinect.bvh',
         'units': 'cm',

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from rpgd_ros.core.camera import Camera
@@ -93,9 +93,6 @@ def _cameras(
         if camera.name in {c.name for c in cameras[:i]}:
             msg = f'camera {camera.name} comes twice among the calibration files: rename one'
             raise InputError(Reason.BAD_INPUT, msg)
-    if len(cameras) == 1:
-        # A single camera is the world, whatever its file says of others.
-        return (replace(cameras[0]),), tuple(file.format for file in found)
     return cameras, tuple(dict.fromkeys(file.format for file in found))
 
 
