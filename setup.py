@@ -65,6 +65,7 @@ setup(
         'console_scripts': [
             f'calibrator = {NAME}.apps.calibrator:main',
             f'calibrate_bag = {NAME}.apps.calibrate_bag:main',
+            f'evaluate = {NAME}.apps.evaluate:main',
             f'import_recording = {NAME}.apps.import_recording:main',
             f'simulate = {NAME}.apps.simulate:main',
         ],
