@@ -118,6 +118,8 @@ def test_what_is_odd_is_said(
         ({'keypoints': ['cam0=a.json', 'cam0=b.json']}, '--keypoints gives camera cam0 twice'),
         ({'keypoints': ['pose', 'pose']}, '--keypoints needs either one folder'),
         ({'min_score': 2.0}, 'all keypoints are missing: check --min-score'),
+        ({'world_frame': '/world'}, 'world_frame: need a frame name'),
+        ({'world_frame': 'mocap'}, "world_frame: 'mocap' is the frame of the skeletons"),
         ({'output': 'none/out'}, 'is no folder: create it first'),
         ({'output': 'pose'}, 'exists: choose another name, or --force'),
         ({'output': 'pose', 'force': True}, "holds 'cam0.json': --force replaces older"),
@@ -157,7 +159,7 @@ def test_stopped_run_leaves_nothing_behind(
     folder: Path, shoot: Shoot, stop: signal.Signals
 ) -> None:
     """Stopped while it writes: no folder, no scratch folder, exit code 130."""
-    write_trc(folder / 'walk.trc', shoot.joints, np.tile(shoot.x_mocap, (25, 1, 1)))
+    write_trc(folder / 'walk.trc', shoot.joints, np.tile(shoot.x_mocap, (8, 1, 1)))
     before = names_in(folder)
     words = [str(word) for word in words_of(folder)]
     command = [sys.executable, '-m', 'rpgd_ros.apps.import_recording', *words]

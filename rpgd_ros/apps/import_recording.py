@@ -19,7 +19,7 @@ from rpgd_ros.apps.import_tables import print_plan
 from rpgd_ros.apps.output_folder import check_output, finish, put_in_place, scratch_folder
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.core.errors import InputError
-from rpgd_ros.importing.export import BAG, RIG, write_plan
+from rpgd_ros.importing.export import BAG, RIG, check_plan, write_plan
 from rpgd_ros.importing.keypoints import read_keypoints
 from rpgd_ros.importing.plan import Plan, plan_camera
 from rpgd_ros.importing.skeleton import AXES, settle
@@ -33,7 +33,9 @@ FILES = (BAG, RIG)
 DESCRIPTION = """\
 Make a recording of the files of a shoot, for calibrate_bag and for replay:
 
-  --skeleton    TRC, BVH, C3D (pip install 'rpgd_ros[import]') or CSV
+  --skeleton    TRC, BVH, C3D (pip install 'rpgd_ros[import]') or CSV, whose columns are time (s)
+                or frame, then three for each joint: left_hip.x, left_hip.y, left_hip.z; lines
+                such as # units: mm and # fps: 100 may stand before
   --keypoints   OpenPose, COCO, MMPose or AlphaPose JSON: a folder with one file per frame, or a
                 file for a whole video, for each camera; or a folder of such (Pose2Sim's pose/)
   --cameras     ROS camera_info, Kalibr camchain, aniposelib/Pose2Sim TOML, Qualisys .qca.txt,
@@ -171,7 +173,9 @@ def _read(inputs: Inputs, progress: Callable[[str, float], None]) -> Plan:
                 units=options.keypoint_units,
             )
         )
-    return Plan(skeleton, tuple(plans), options.world_frame)
+    plan = Plan(skeleton, tuple(plans), options.world_frame)
+    check_plan(plan)
+    return plan
 
 
 @contextmanager

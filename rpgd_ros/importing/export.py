@@ -9,11 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, IntArray
 from rpgd_ros.importing.plan import CameraPlan, Plan
 from rpgd_ros.io.bag import BagWriter, absolute_name
 from rpgd_ros.io.bag_writer import Storage
-from rpgd_ros.io.rig import MocapSource, Rig, RigCamera, write_rig
+from rpgd_ros.io.rig import MocapSource, Rig, RigCamera, parse_rig, rig_text, write_rig
 from rpgd_ros.messages import POINT_CLOUD2, encode_point_cloud2
 
 MOCAP_TOPIC: Final = 'mocap/skeleton'
@@ -22,6 +23,19 @@ BAG, RIG = 'bag', 'rig.yaml'
 # The files carry no date, and a stamp of 0 would be a missing one: second 0 is 2000-01-01.
 START_NS: Final = 946_684_800 * 10**9
 PROGRESS_EVERY: Final = 500  # messages: a tenth of a second
+
+
+def check_plan(plan: Plan) -> None:
+    """Refuse what would give a rig file that does not read back.
+
+    Raises:
+        InputError: BAD_RIG.
+
+    """
+    parse_rig(rig_text(rig_of(plan)), RIG)
+    if plan.world_frame == MOCAP_FRAME:
+        msg = f'{RIG}: world_frame: {MOCAP_FRAME!r} is the frame of the skeletons: name another'
+        raise InputError(Reason.BAD_RIG, msg)
 
 
 def stamps(time_s: Array) -> IntArray:

@@ -103,7 +103,10 @@ def frame_files(folder: Path) -> dict[int, Path]:
 
     """
     files: dict[int, Path] = {}
-    names = sorted(p for p in folder.iterdir() if p.suffix.lower() == '.json' and p.is_file())
+    try:
+        names = sorted(p for p in folder.iterdir() if p.suffix.lower() == '.json' and p.is_file())
+    except OSError as error:
+        refuse(folder, None, f'cannot be read: {error.strerror or error}')
     if not 0 < len(names) <= MAX_FILES:
         refuse(folder, None, f'{len(names)} .json files, need 1 to {MAX_FILES}, one per frame')
     for path in names:
