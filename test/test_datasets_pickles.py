@@ -119,6 +119,22 @@ def test_crafted_pickle_runs_nothing(name: str, tmp_path: Path) -> None:
     assert not marker.exists()
 
 
+def test_place_beyond_the_data_is_refused(tmp_path: Path) -> None:
+    """Five bytes that would have the unpickler lay out 32 GiB of places."""
+    bomb = b'\x80\x02}r\xff\xff\xff\x7f.'
+    with pytest.raises(InputError, match='place 2147483647 of 2 is not allowed'):
+        read_arrays(saved(tmp_path / 'a.pkl', bomb))
+
+
+def test_functions_of_the_reader_cannot_be_changed(tmp_path: Path) -> None:
+    """A file that sets attributes of what it names would spoil the reading of the next one."""
+    build = b'\x80\x02cnumpy\ndtype\nN}X\x05\x00\x00\x00arrayK\x01s\x86b.'
+    with pytest.raises(InputError, match='a function has no state'):
+        read_arrays(saved(tmp_path / 'a.pkl', build))
+    found = read_arrays(saved(tmp_path / 'b.pkl', pickle.dumps(ARRAYS)))
+    np.testing.assert_array_equal(found['timestamps'], ARRAYS['timestamps'])
+
+
 def test_shape_beyond_the_data_is_refused(tmp_path: Path) -> None:
     """A few bytes cannot claim a terabyte."""
     data = pickled({'a': np.zeros(3)})
@@ -157,7 +173,7 @@ def test_damage_is_refused_or_read(data: st.DataObject) -> None:
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     cut = whole[: data.draw(st.integers(1, len(whole)))]
     try:
-        found = pickles.arrays_of(Path('a.pkl'), io.BytesIO(cut))
+        found = pickles.arrays_of(Path('a.pkl'), bytes(cut))
     except InputError:
         return
     assert all(values.dtype.kind in 'biuf' for values in found.values())

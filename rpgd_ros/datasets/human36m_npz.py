@@ -5,8 +5,8 @@
     data_2d_h36m_gt.npz   positions_2d: subject -> action -> 4 arrays (T, 17 or 32, 2), pixels
     metadata.xml          camera parameters, as in the dataset's own archive
 
-Each file is one pickle of all sequences: it is read as a whole, once per process (half a gigabyte
-for both), whereas the dataset's own files are read sequence by sequence.
+Each file is one pickle of all sequences: it is read as a whole, once per process (a gigabyte for
+both), whereas the dataset's own files are read sequence by sequence.
 """
 
 from __future__ import annotations

@@ -1,20 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads pickles of datasets without running what they say.
 
-A pickle is a program. Here it may name nine things, all of them needed to store numpy arrays, and
-none of them is what it names: each is replaced by a small class of this module that checks what it
-is given. Not even numpy's own unpickling runs, which trusts shapes and lists.
+A pickle is a program. Here it is first read through for instructions that arrays do not need, and
+for numbers that would fill the memory. It may name nine things, all of them needed to store numpy
+arrays, and none of them is what it names: each is replaced by a small class of this module that
+checks what it is given. Not even numpy's own unpickling runs, which trusts shapes and lists.
 """
 
 from __future__ import annotations
 
+import io
 import pickle
+import pickletools
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +35,33 @@ DAMAGE = (
     pickle.UnpicklingError, ArithmeticError, AttributeError, EOFError, ImportError, LookupError,
     MemoryError, OSError, RecursionError, TypeError, ValueError,
 )  # fmt: skip
+
+
+# What pickles of arrays, mappings and lists are made of.
+OPCODES = frozenset({
+    'PROTO', 'FRAME', 'STOP', 'MARK', 'EMPTY_DICT', 'EMPTY_LIST', 'EMPTY_TUPLE', 'TUPLE', 'TUPLE1',
+    'TUPLE2', 'TUPLE3', 'SETITEM', 'SETITEMS', 'APPEND', 'APPENDS', 'GLOBAL', 'STACK_GLOBAL',
+    'REDUCE', 'BUILD', 'BINPUT', 'LONG_BINPUT', 'MEMOIZE', 'BINGET', 'LONG_BINGET', 'NONE',
+    'NEWTRUE', 'NEWFALSE', 'BININT', 'BININT1', 'BININT2', 'LONG1', 'BINFLOAT', 'BINUNICODE',
+    'SHORT_BINUNICODE', 'SHORT_BINBYTES', 'BINBYTES', 'BINBYTES8', 'BYTEARRAY8',
+})  # fmt: skip
+PUTS = frozenset({'BINPUT', 'LONG_BINPUT'})
+
+
+class _Maker:
+    """Calls one function of this module; nothing can be done to it."""
+
+    __slots__ = ('_function',)
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._function(*arguments)
+
+    def __setstate__(self, state: object) -> None:
+        msg = 'a function has no state'
+        raise pickle.UnpicklingError(msg)
 
 
 class _Dtype:
@@ -91,14 +121,14 @@ def _encode(text: str, _encoding: str) -> bytes:
 
 
 _CORES = ('numpy.core', 'numpy._core')  # before and since numpy 2
-SAFE: Mapping[tuple[str, str], Callable[..., Any] | str] = MappingProxyType(
+SAFE: Mapping[tuple[str, str], _Maker | str] = MappingProxyType(
     {
         ('numpy', 'ndarray'): 'numpy.ndarray',  # an argument only
-        ('numpy', 'dtype'): _Dtype,
-        ('_codecs', 'encode'): _encode,
-        **{(f'{core}.multiarray', '_reconstruct'): _Array for core in _CORES},
-        **{(f'{core}.multiarray', 'scalar'): _scalar for core in _CORES},
-        **{(f'{core}.numeric', '_frombuffer'): _from_buffer for core in _CORES},
+        ('numpy', 'dtype'): _Maker(_Dtype),
+        ('_codecs', 'encode'): _Maker(_encode),
+        **{(f'{core}.multiarray', '_reconstruct'): _Maker(_Array) for core in _CORES},
+        **{(f'{core}.multiarray', 'scalar'): _Maker(_scalar) for core in _CORES},
+        **{(f'{core}.numeric', '_frombuffer'): _Maker(_from_buffer) for core in _CORES},
     }
 )
 
@@ -113,6 +143,18 @@ class _Unpickler(pickle.Unpickler):
         return SAFE[module, name]
 
 
+def _load(data: bytes) -> Any:
+    for number, (opcode, argument, _) in enumerate(pickletools.genops(data)):
+        if opcode.name not in OPCODES:
+            msg = f'{opcode.name} is not allowed in data'
+            raise pickle.UnpicklingError(msg)
+        # The unpickler keeps places up to the highest number: 5 bytes could take 64 GiB.
+        if opcode.name in PUTS and argument is not None and argument > number:
+            msg = f'place {argument} of {number} is not allowed in data'
+            raise pickle.UnpicklingError(msg)
+    return _Unpickler(io.BytesIO(data)).load()
+
+
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Read a pickled mapping of arrays of numbers; entries of other kinds are left out.
 
@@ -124,14 +166,17 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
     """
     require_size(path, MAX_BYTES)
-    with path.open('rb') as file:
-        return arrays_of(path, file)
-
-
-def arrays_of(path: Path, file: BinaryIO) -> dict[str, NDArray[Any]]:
-    """Do what `read_arrays` does with an open file; the path is for messages."""
     try:
-        tree = _Unpickler(file).load()
+        data = path.read_bytes()
+    except OSError as error:
+        raise refusal(path, f'cannot be read: {error.strerror or error}') from error
+    return arrays_of(path, data)
+
+
+def arrays_of(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
+    """Do what `read_arrays` does with the bytes of a file; the path is for messages."""
+    try:
+        tree = _load(data)
     except DAMAGE as error:
         raise refusal(path, f'no pickle of plain arrays: {shown(str(error))}') from error
     if not isinstance(tree, dict):
@@ -170,7 +215,7 @@ def read_npz_tree(path: Path, name: str) -> dict[str, dict[str, Any]]:
                 if np.lib.format.read_magic(file) != (1, 0):
                     raise refusal(path, f'{name} is no array of one object')
                 np.lib.format.read_array_header_1_0(file)
-                tree = _Unpickler(file).load()
+                tree = _load(file.read())
     except (*DAMAGE, zipfile.BadZipFile, zlib.error, RuntimeError) as error:
         raise refusal(path, f'no {name}: {shown(str(error))}') from error
     tree = tree.value if isinstance(tree, _Array) else None
