@@ -50,7 +50,7 @@ def covariances(
         out: Array = to_origin @ about_pivot @ to_origin.T
         return 0.5 * (out + out.T)
 
-    by_joint = inverse @ spread_between(seen.joint_scores) @ inverse
+    by_joint = inverse @ _between_joints(seen.joint_scores) @ inverse
     by_time = inverse @ spread_between(seen.time_scores) @ inverse
     whole = larger(variance * inverse, by_joint) if timed is None else _timed_covariance(timed)
     return moved(whole[:6, :6]), moved(by_time)
@@ -67,7 +67,18 @@ def offset_sigmas(timed: TimedNormal) -> Array:
 def _timed_covariance(timed: TimedNormal) -> Array:
     """Covariance of pose and offsets, as in `covariances`."""
     inverse = invert(timed.hessian, timed.information)
-    return larger(inverse, inverse @ spread_between(timed.joint_scores) @ inverse)
+    return larger(inverse, inverse @ _between_joints(timed.joint_scores) @ inverse)
+
+
+def _between_joints(scores: Array) -> Array:
+    """Spread between joints, widened because a covariance of few groups is small too often.
+
+    Of n groups its inverse is (n - 1) / (n - 5) times too large on the mean, for the three
+    numbers of a rotation or a position.
+    """
+    n = int(np.any(scores != 0.0, axis=1).sum())
+    widened: Array = spread_between(scores) * (n - 1) / max(n - 5, 1 + (n - 1) / 3)
+    return widened
 
 
 def spread_between(scores: Array) -> Array:

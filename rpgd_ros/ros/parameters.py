@@ -192,7 +192,9 @@ def _typed(default: Value, value: object) -> Value | None:
     if isinstance(default, int):
         return value if isinstance(value, int) and not isinstance(value, bool) else None
     if isinstance(default, str):
-        return value if isinstance(value, str) else None
+        # An unquoted off is a boolean to YAML, on the command line and in files.
+        text = 'off' if value is False else value
+        return text if isinstance(text, str) else None
     items = () if value is None else value
     if isinstance(items, list | tuple) and all(isinstance(item, str) for item in items):
         return tuple(item for item in items if item)
