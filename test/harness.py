@@ -77,6 +77,16 @@ class Child:
         self.process.send_signal(number)
         return self.wait(seconds=seconds)
 
+    def leave(self, *, seconds: float = 5.0) -> None:
+        """Make sure that it has ended: asked first, for a killed node haunts its ROS domain."""
+        if self.process.poll() is None:
+            self.process.terminate()
+        try:
+            self.wait(seconds=seconds)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.wait(seconds=seconds)
+
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
@@ -95,6 +105,4 @@ def running(arguments: Sequence[str], environment: Mapping[str, str]) -> Iterato
     try:
         yield child
     finally:
-        if child.process.poll() is None:
-            child.process.kill()
-        child.wait(seconds=10.0)
+        child.leave()

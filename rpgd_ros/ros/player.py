@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.messages import CAMERA_INFO
+from rpgd_ros.ros.health import PREFIX
 from rpgd_ros.ros.inputs import MESSAGE_CLASSES
 from rpgd_ros.ros.parameters import listed, shown
 from rpgd_ros.ros.transforms import LATCHED
@@ -196,12 +197,12 @@ class Peer:
 
     def diagnostics(self, name: str) -> dict[str, str]:
         """Return the newest figures of one entry of /diagnostics, {} before the first."""
-        status = self._newest.get(f'rpgd_calibrator: {name}')
+        status = self._newest.get(PREFIX + name)
         return {pair.key: pair.value for pair in status.values} if status else {}
 
     def message(self, name: str) -> str:
         """Return the newest sentence of one entry of /diagnostics, '' before the first."""
-        status = self._newest.get(f'rpgd_calibrator: {name}')
+        status = self._newest.get(PREFIX + name)
         return str(status.message) if status else ''
 
     def call(self, service: str, *, seconds: float) -> Trigger.Response | None:
