@@ -123,6 +123,7 @@ def calibrate(
     calibration = _report(
         sights, descent, loss, threshold_px=threshold_px, centroid=centroid, clocks=clocks,
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
+        order=[c.name for c in cameras],
     )  # fmt: skip
     moved = {d.camera for d in calibration.disagreements if d.rival is None}
     if moved and config.rig.on_bumped_camera == 'exclude':
@@ -170,7 +171,10 @@ def _pass_gates(
 
 
 def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight]:
-    """Pair cameras with views; those that saw nothing are kept out."""
+    """Pair cameras with views, by name, so that their order is that of no caller.
+
+    Those that saw nothing are kept out.
+    """
     if len(cameras) != len(observations.views):
         msg = f'{len(cameras)} cameras for {len(observations.views)} views'
         raise InputError(Reason.BAD_INPUT, msg)
@@ -181,7 +185,7 @@ def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight
     if blind and len(cameras) > 1:
         msg = f'no extrinsics for {", ".join(blind)}: each of several cameras needs camera_T_world'
         raise CalibrationError(Reason.NO_EXTRINSICS, msg)
-    pairs = zip(cameras, observations.views, strict=True)
+    pairs = sorted(zip(cameras, observations.views, strict=True), key=lambda pair: pair[0].name)
     sights = [Sight(c, v) for c, v in pairs if v.n_frames and v.uv.shape[1]]
     if not sights:
         msg = 'no frame with skeleton and keypoints'
@@ -244,8 +248,9 @@ def _report(
     joint_names: tuple[str, ...] | None,
     config: CalibrationConfig,
     seconds: float,
+    order: Sequence[str],
 ) -> Calibration:
-    """Collect the figures."""
+    """Collect the figures, cameras in the caller's order."""
     counts = descent.examination.tally
     n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())
     variance = 1.0
@@ -256,6 +261,7 @@ def _report(
     covariance, over_time = covariances(descent, centroid, variance=variance, timed=timed)
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     contradicting = disagreements(sights, descent, centroid)
+    by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
     names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
     return Calibration(
         world_T_mocap=descent.pose,
@@ -270,7 +276,7 @@ def _report(
         frames=int(counts.frames.max()),
         threshold_px=threshold_px,
         centroid_mocap=centroid,
-        per_camera=fits(counts, [s.camera.name for s in sights], axis=1),
+        per_camera={name: by_camera[name] for name in order if name in by_camera},
         per_joint=fits(counts, names, axis=0),
         config=config,
         time_offset_s=clocks.offsets(timed),
