@@ -50,6 +50,8 @@ setup(
         'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<3', 'types-PyYAML>=6.0,<7'],
         # Readers of the files in which Human3.6M and MPI-INF-3DHP come.
         'datasets': ['cdflib>=1.3,<2', 'scipy>=1.11,<2'],
+        # evaluate --scheduler: sequences on the workers of a Dask cluster.
+        'cluster': ['distributed>=2024.1'],
         # Solvers that the benchmark compares ours with; it leaves out what is not there.
         'bench': ['poselib>=2.0.5,<3', 'scipy>=1.11,<2'],
         # C3D files for import_recording.

@@ -52,6 +52,7 @@ DEPENDENCIES = {
     'cdflib': frozenset({'datasets', 'simulation'}),
     'cv2': frozenset({'core', 'simulation', 'report', 'datasets', 'apps'}),
     'ezc3d': frozenset({'importing'}),
+    'distributed': frozenset({'apps'}),
     'matplotlib': frozenset({'report'}),
     'poselib': frozenset({'apps'}),
     'rich': frozenset({'apps'}),
@@ -250,7 +251,13 @@ def test_every_dependency_is_declared_for_rosdep() -> None:
     """What the package imports, package.xml names by its rosdep key."""
     keys = {'cv2': 'python3-opencv', 'launch': 'ros2launch', 'launch_ros': 'ros2launch'}
     keys |= {name: f'python3-{name}' for name in ('matplotlib', 'numpy', 'rich', 'yaml')}
-    optional = {'cdflib', 'ezc3d', 'poselib', 'scipy'}  # of datasets, import and benchmark
+    optional = {
+        'cdflib',
+        'distributed',
+        'ezc3d',
+        'poselib',
+        'scipy',
+    }  # of datasets, import and benchmark
     without_key = {PACKAGE, 'rosbags', *optional, *sys.stdlib_module_names}
     tops = {name.split('.')[0] for module in package_modules() for _, name in imports(module)}
     used = {keys.get(top, top) for top in tops - without_key}

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import get_args
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from rpgd_ros.apps.evaluate_cluster import each_on_cluster
 from rpgd_ros.apps.evaluate_pool import each_somewhere
 from rpgd_ros.apps.evaluate_sequence import Row, Task, empty_row, evaluate, finished
 from rpgd_ros.apps.evaluate_tables import csv_text, print_results, solved
@@ -48,6 +49,7 @@ as program, settings and data stay the same: stop at any time, and start again.
 examples:
   evaluate aist_plusplus_final --dataset aistpp --select published --csv aistpp.csv
   evaluate h36m --dataset human36m --sequences 'S9/*' 'S11/*'
+  evaluate /data/aistpp --dataset aistpp --results /data/results --scheduler tcp://head:8786
 exit codes:
   0   every sequence was evaluated
   1   some sequences could not be: they are named
@@ -97,6 +99,8 @@ def _parser() -> argparse.ArgumentParser:
     text = 'where finished sequences are kept (default evaluation_<dataset>)'
     add('--results', type=Path, metavar='DIR', help=text)
     text = 'processes at once (default: as many as there are processors)'
+    text = 'have the workers of this Dask cluster do it, which see the same folders'
+    add('--scheduler', metavar='ADDRESS', help=text)
     add('--jobs', type=int, default=os.cpu_count() or 1, metavar='N', help=text)
     return parser
 
@@ -113,10 +117,10 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
     dataset = open_dataset(arguments.dataset, arguments.folder, is_published=is_published)
     names = _chosen(dataset.names, arguments.sequences, arguments.folder)
     results = _results_folder(arguments.results or Path(f'evaluation_{arguments.dataset}'))
-    tasks = [
-        Task(arguments.dataset, arguments.folder, name, is_published, results) for name in names
-    ]
-    rows = _evaluate_all(tasks, dataset, arguments.jobs, err, stop)
+    # Workers of a cluster have working folders of their own.
+    folder, results = arguments.folder.absolute(), results.absolute()
+    tasks = [Task(arguments.dataset, folder, name, is_published, results) for name in names]
+    rows = _evaluate_all(tasks, dataset, arguments.jobs, arguments.scheduler, err, stop)
     print_results(out, arguments.dataset, rows)
     if arguments.csv:
         write_atomic(arguments.csv, csv_text(rows))
@@ -145,8 +149,22 @@ def _results_folder(path: Path) -> Path:
     return path
 
 
+def _done_by(
+    tasks: Sequence[Task], jobs: int, scheduler: str | None
+) -> Generator[tuple[Task, Row | None], None, None]:
+    """Return the rows as they come, from processes here or from a cluster."""
+    if scheduler and tasks:
+        return each_on_cluster(evaluate, tasks, address=scheduler)
+    return each_somewhere(evaluate, tasks, jobs=min(jobs, max(len(tasks), 1)))
+
+
 def _evaluate_all(
-    tasks: Sequence[Task], dataset: Dataset, jobs: int, err: Console, stop: Event
+    tasks: Sequence[Task],
+    dataset: Dataset,
+    jobs: int,
+    scheduler: str | None,
+    err: Console,
+    stop: Event,
 ) -> list[Row]:
     """Return the rows of all sequences in their order; finished ones are not done again."""
     rows: dict[str, Row] = {}
@@ -161,10 +179,9 @@ def _evaluate_all(
     with Progress(*columns, console=err, transient=True) as progress:
         bar = progress.add_task('sequences', total=len(tasks), completed=len(rows))
         left = [task for task in tasks if task.name not in rows]
-        jobs = min(jobs, max(len(left), 1))
-        with closing(each_somewhere(evaluate, left, jobs=jobs)) as results:
+        with closing(_done_by(left, jobs, scheduler)) as results:
             for task, row in results:
-                died = empty_row(task.name) | {'error': 'its process died, twice'}
+                died = empty_row(task.name) | {'error': 'its process died again and again'}
                 rows[task.name] = died if row is None else row
                 progress.advance(bar)
                 if stop.is_set():

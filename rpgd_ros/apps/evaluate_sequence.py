@@ -78,19 +78,16 @@ def configs(dataset: DatasetName) -> dict[str, CalibrationConfig]:
 def evaluate(task: Task) -> Row:
     """Evaluate a sequence, write its result, and return it.
 
-    A sequence whose files cannot be used gives a row that says so, which is not kept.
-
-    Raises:
-        InputError: The result cannot be written.
-
+    A sequence whose files cannot be used, or whose result cannot be written, gives a row that
+    says so.
     """
-    dataset = open_dataset(task.dataset, task.folder, is_published=task.is_published)
-    key = fingerprint(task, dataset)
     try:
+        dataset = open_dataset(task.dataset, task.folder, is_published=task.is_published)
+        key = fingerprint(task, dataset)
         row = _measure(task, dataset)
+        write_atomic(task.file, json.dumps({'schema': SCHEMA, 'key': key, 'row': row}))
     except RpgdError as error:
         return empty_row(task.name) | {'error': error.message}
-    write_atomic(task.file, json.dumps({'schema': SCHEMA, 'key': key, 'row': row}))
     return row
 
 
