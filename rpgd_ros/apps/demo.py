@@ -44,8 +44,8 @@ CALL_SECONDS = 60.0
 COUNT_SECONDS = 5.0  # diagnostics come once a second
 
 DESCRIPTION = """\
-Simulate a studio recording, play it to the live calibrator over DDS, and compare the transform
-that it publishes with the truth. Leaves in DIR:
+Simulate a studio recording in which a fifth of the keypoints is wrong, play it to the live
+calibrator over DDS, and compare the transform that it publishes with the truth. Leaves in DIR:
 
   recording/      the bag, its rig file and the truth
   result.yaml     what the calibrator found
@@ -110,6 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     add('--output', required=True, type=Path, metavar='DIR', help='folder for what it leaves')
     add('--seconds', type=float, default=60.0, help='length of the walk (default 60)')
     add('--rate', type=float, default=5.0, help='times faster than recorded (default 5)')
+    add('--outliers', type=float, default=0.2, help='share of wrong keypoints (default 0.2)')
     add('--seed', type=int, default=0, help='of everything random (default 0)')
     return parser
 
@@ -181,6 +182,8 @@ def _simulate(arguments: argparse.Namespace, folder: Path) -> int:
         raise InputError(Reason.NOT_WRITABLE, msg) from error
     words = ['--preset', 'studio', '--force', '--output', str(folder)]
     words += ['--seconds', str(arguments.seconds), '--seed', str(arguments.seed)]
+    # Wrong as on a set: somebody else for a second, left for right, lost, anywhere.
+    words += ['--outliers', str(arguments.outliers), '--kind', 'mixed']
     return simulate.main(words)
 
 
