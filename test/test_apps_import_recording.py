@@ -218,7 +218,8 @@ def test_pose2sim_session_leads_to_the_known_transform(
     }
     assert run_import(*words_of(tmp_path, **changes)) == 0
     said = capsys.readouterr().out
-    assert '4 cameras (aniposelib/Pose2Sim TOML)' in said
+    assert 'aniposelib/Pose2Sim TOML: cam01, cam02, cam03, cam04' in said
+    assert f'cam02       {tmp_path}/pose/cam2_json (OpenPose JSON)' in said
     assert 'cam01, cam02, cam03, cam04: Nose = Nose' in said
     assert 'keypoints without a joint: LEye, REye, LEar, REar' in said
     assert_finds(tmp_path / 'out', truth, x_mocap)

@@ -56,7 +56,7 @@ def test_dry_run_says_what_was_understood_and_writes_nothing(
         '800 frames at 100 Hz, 0.000 to 7.990 s; 12 joints',
         'positions in m (stated), body 1.',
         'axes as in the file, body along ',
-        '2 cameras (aniposelib/Pose2Sim TOML)',
+        'calibration aniposelib/Pose2Sim TOML: cam0, cam1',
         'left_hip = LHipJC',
         'keypoints without a joint: nose, left_eye',
     ):
@@ -73,10 +73,9 @@ def test_dry_run_counts_other_people_and_empty_frames(
         path = folder / 'tree' / 'cam0_json' / f'video_{frame:012d}_keypoints.json'
         path.write_text(json.dumps({'version': 1.3, 'people': []}))
     assert run_import(*words_of(folder, keypoints=folder / 'tree', dry_run=True)) == 0
-    row = next(line for line in capsys.readouterr().out.splitlines() if 'cam0 ' in line)
-    cells = [cell.strip() for cell in row.strip('│|┃').replace('┃', '│').split('│')]
-    assert cells[2] == '395'
-    assert cells[6:8] == ['5', '57']
+    said = capsys.readouterr().out
+    row = next(line for line in said.splitlines() if line.startswith('cam0 ') and '%' in line)
+    assert row.split() == ['cam0', '395', '50', '0.000', '7.980', '5', '57', '71%', '12']
 
 
 def test_what_is_odd_is_said(

@@ -11,9 +11,7 @@ from pathlib import Path
 
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.errors import InputError, Reason
-from rpgd_ros.importing.keypoints import camera_paths
-from rpgd_ros.importing.plan import keypoint_joints
-from rpgd_ros.importing.skeleton import MAX_FPS
+from rpgd_ros.importing import MAX_FPS, camera_paths, keypoint_joints
 from rpgd_ros.io.camera_files import read_cameras
 from rpgd_ros.io.rig_types import Units
 from rpgd_ros.skeletons import hint

@@ -19,11 +19,18 @@ from rpgd_ros.apps.import_tables import print_plan
 from rpgd_ros.apps.output_folder import check_output, finish, put_in_place, scratch_folder
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.core.errors import InputError
-from rpgd_ros.importing.export import BAG, RIG, check_plan, write_plan
-from rpgd_ros.importing.keypoints import read_keypoints
-from rpgd_ros.importing.plan import Plan, plan_camera
-from rpgd_ros.importing.skeleton import AXES, settle
-from rpgd_ros.importing.skeleton_files import read_skeleton
+from rpgd_ros.importing import (
+    AXES,
+    BAG,
+    RIG,
+    Plan,
+    check_plan,
+    plan_camera,
+    read_keypoints,
+    read_skeleton,
+    settle,
+    write_plan,
+)
 from rpgd_ros.io.bag_writer import Storage
 from rpgd_ros.io.rig import METRES_PER
 

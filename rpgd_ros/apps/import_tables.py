@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rpgd_ros.apps.import_inputs import Inputs
-from rpgd_ros.importing.plan import CameraPlan, Plan
+from rpgd_ros.importing import CameraPlan, Plan
 
 NO_POSES = (
     'the calibration gives no poses for several cameras: without camera_T_world in the rig file '
@@ -33,7 +33,11 @@ def print_plan(console: Console, plan: Plan, inputs: Inputs) -> None:
         f'            positions in {skeleton.units} ({stated}), body {skeleton.size_m:.2f} m; '
         f'{axes}{standing}',
     )
-    _say(console, f'calibration {len(inputs.cameras)} cameras ({", ".join(inputs.formats)})')
+    names = ', '.join(camera.name for camera in inputs.cameras)
+    _say(console, f'calibration {", ".join(inputs.formats)}: {names}')
+    for camera in plan.cameras:
+        found = camera.detections
+        _say(console, f'{camera.camera.name:<11} {found.path} ({found.format})')
     console.print(_streams(plan))
     for camera in plan.cameras:
         _say_joints(console, plan, camera)
@@ -48,7 +52,7 @@ def _say(console: Console, sentence: str) -> None:
 
 def _streams(plan: Plan) -> Table:
     headings = ('frames', 'Hz', 'from s', 'to s', 'nobody', 'others', 'seen', 'pairs')
-    table = Table('camera', 'format')
+    table = Table('camera', box=None, pad_edge=False)
     for heading in headings:
         table.add_column(heading, justify='right')
     for camera in plan.cameras:
@@ -56,7 +60,6 @@ def _streams(plan: Plan) -> Table:
         seen = float((found.scores > 0.0).mean())
         table.add_row(
             camera.camera.name,
-            found.format,
             str(len(found.frames)),
             f'{camera.fps:g}',
             f'{camera.time_s[0]:.3f}',
