@@ -251,13 +251,8 @@ def test_every_dependency_is_declared_for_rosdep() -> None:
     """What the package imports, package.xml names by its rosdep key."""
     keys = {'cv2': 'python3-opencv', 'launch': 'ros2launch', 'launch_ros': 'ros2launch'}
     keys |= {name: f'python3-{name}' for name in ('matplotlib', 'numpy', 'rich', 'yaml')}
-    optional = {
-        'cdflib',
-        'distributed',
-        'ezc3d',
-        'poselib',
-        'scipy',
-    }  # of datasets, import and benchmark
+    # Of datasets, cluster, import and benchmark.
+    optional = {'cdflib', 'distributed', 'ezc3d', 'poselib', 'scipy'}
     without_key = {PACKAGE, 'rosbags', *optional, *sys.stdlib_module_names}
     tops = {name.split('.')[0] for module in package_modules() for _, name in imports(module)}
     used = {keys.get(top, top) for top in tops - without_key}
