@@ -186,6 +186,18 @@ def test_selection_of_the_publication_leaves_out_and_says_so(
     assert (kept['left_out'], kept['frames']) == ('', '60')
 
 
+def test_labels_are_exported_even_of_finished_sequences(
+    copied: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One .npz and one .json each; then they are finished with their labels, too."""
+    line = [*copied, '--sequences', '*ch01', '--export', str(tmp_path / 'labels')]
+    assert evaluate.main(line) == 0
+    name = 'gBR_sBM_cAll_d04_mBR0_ch01'
+    assert {p.name for p in (tmp_path / 'labels').iterdir()} == {f'{name}.npz', f'{name}.json'}
+    monkeypatch.setattr(evaluate, 'evaluate', never)
+    assert evaluate.main(line) == 0
+
+
 @pytest.mark.parametrize(
     ('options', 'message'),
     [

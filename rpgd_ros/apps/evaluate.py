@@ -96,6 +96,11 @@ def _parser() -> argparse.ArgumentParser:
     text = 'only these sequences; * and ? stand for any characters'
     add('--sequences', nargs='+', default=[], metavar='NAME', help=text)
     add('--csv', type=Path, metavar='FILE', help='write one line per sequence')
+    text = (
+        "write each accepted sequence's joints in the camera frames (.npz) and reprojected "
+        'labels (COCO .json)'
+    )
+    add('--export', type=Path, metavar='DIR', help=text)
     text = 'where finished sequences are kept (default evaluation_<dataset>)'
     add('--results', type=Path, metavar='DIR', help=text)
     text = 'processes at once (default: as many as there are processors)'
@@ -109,17 +114,20 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
     if arguments.jobs < 1:
         msg = f'--jobs must be 1 or more, got {arguments.jobs}'
         raise InputError(Reason.BAD_INPUT, msg)
-    for path in filter(None, (arguments.csv, arguments.results)):
+    for path in filter(None, (arguments.csv, arguments.results, arguments.export)):
         if not path.absolute().parent.is_dir():
             msg = f'{path.parent} is no folder: create it first'
             raise InputError(Reason.NOT_WRITABLE, msg)
     is_published = arguments.select == 'published'
     dataset = open_dataset(arguments.dataset, arguments.folder, is_published=is_published)
     names = _chosen(dataset.names, arguments.sequences, arguments.folder)
-    results = _results_folder(arguments.results or Path(f'evaluation_{arguments.dataset}'))
+    results = _made(arguments.results or Path(f'evaluation_{arguments.dataset}'))
+    export = _made(arguments.export) if arguments.export else None
     # Workers of a cluster have working folders of their own.
-    folder, results = arguments.folder.absolute(), results.absolute()
-    tasks = [Task(arguments.dataset, folder, name, is_published, results) for name in names]
+    folder = arguments.folder.absolute()
+    tasks = [
+        Task(arguments.dataset, folder, name, is_published, results, export) for name in names
+    ]
     rows = _evaluate_all(tasks, dataset, arguments.jobs, arguments.scheduler, err, stop)
     print_results(out, arguments.dataset, rows)
     if arguments.csv:
@@ -140,13 +148,14 @@ def _chosen(names: Sequence[str], patterns: Sequence[str], folder: Path) -> list
     return chosen
 
 
-def _results_folder(path: Path) -> Path:
+def _made(path: Path) -> Path:
+    """Return the absolute path of a folder, made where it was not there."""
     try:
         path.mkdir(exist_ok=True)
     except OSError as error:
         msg = f'{path} cannot be made: {error.strerror or error}'
         raise InputError(Reason.NOT_WRITABLE, msg) from error
-    return path
+    return path.absolute()
 
 
 def _done_by(

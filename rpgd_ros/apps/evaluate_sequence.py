@@ -25,6 +25,7 @@ from rpgd_ros.core import (
 )
 from rpgd_ros.core.geometry import rotation_angle
 from rpgd_ros.datasets import Dataset, DatasetName, DatasetSequence, open_dataset
+from rpgd_ros.datasets.labels import write_labels
 from rpgd_ros.io.atomic import write_atomic
 
 # One row of results: what a CSV line holds.
@@ -50,6 +51,7 @@ class Task:
         name: Of the sequence.
         is_published: Whether the publication's selection is asked for.
         results: Folder of the results.
+        export: Folder for labels; None = none are written.
 
     """
 
@@ -58,11 +60,22 @@ class Task:
     name: str
     is_published: bool
     results: Path
+    export: Path | None = None
+
+    @property
+    def stem(self) -> str:
+        """Name for files: those of sequences hold slashes, and files cannot."""
+        return quote(self.name, safe=' ')
 
     @property
     def file(self) -> Path:
-        """Where the result is kept; names hold slashes, and files cannot."""
-        return self.results / f'{quote(self.name, safe=" ")}.json'
+        """Where the result is kept."""
+        return self.results / f'{self.stem}.json'
+
+    @property
+    def is_exported(self) -> bool:
+        """Whether nothing is left to export; the .json file is written last."""
+        return self.export is None or (self.export / f'{self.stem}.json').exists()
 
 
 def configs(dataset: DatasetName) -> dict[str, CalibrationConfig]:
@@ -102,7 +115,10 @@ def finished(task: Task, dataset: Dataset) -> Row | None:
         is_ours = kept['schema'] == SCHEMA and kept['key'] == fingerprint(task, dataset)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
-    return row if is_ours and isinstance(row, dict) and row.keys() == set(COLUMNS) else None
+    if not (is_ours and isinstance(row, dict) and row.keys() == set(COLUMNS)):
+        return None
+    has_labels = not (row['left_out'] or row['default_refusal'])
+    return None if has_labels and not task.is_exported else row
 
 
 def fingerprint(task: Task, dataset: Dataset) -> str:
@@ -142,12 +158,22 @@ def _measure(task: Task, dataset: Dataset) -> Row:
     if row['left_out']:
         return row
     for method, config in configs(task.dataset).items():
-        row |= _solve(sequence, method, config, frames)
+        columns, calibration = _solve(sequence, method, config, frames)
+        row |= columns
+    # The last is the default solver's.
+    if task.export and calibration and not row['default_refusal']:
+        cameras, observations = sequence.cameras, sequence.observations
+        write_labels(task.export, task.stem, cameras, observations, calibration)
     return row
 
 
-def _solve(sequence: DatasetSequence, method: str, config: CalibrationConfig, frames: int) -> Row:
-    """Return the columns of one method. A pose that the gates refuse counts as a pose."""
+def _solve(
+    sequence: DatasetSequence, method: str, config: CalibrationConfig, frames: int
+) -> tuple[Row, Calibration | None]:
+    """Return the columns of one method, and its result.
+
+    A pose that the gates refuse counts as a pose.
+    """
     refusal = ''
     calibration: Calibration | None
     started = time.perf_counter()
@@ -161,7 +187,7 @@ def _solve(sequence: DatasetSequence, method: str, config: CalibrationConfig, fr
         f'{method}_refusal': refusal,
     }
     if calibration is None:
-        return columns
+        return columns, None
     pose = calibration.world_T_mocap
     deg, mm = distance(sequence, pose)
     columns |= {
@@ -172,7 +198,7 @@ def _solve(sequence: DatasetSequence, method: str, config: CalibrationConfig, fr
     if method == 'default':
         columns['default_sigma_deg'] = calibration.sigma_rotation_deg
         columns['default_sigma_mm'] = 1e3 * calibration.sigma_position_m
-    return columns
+    return columns, calibration
 
 
 def distance(sequence: DatasetSequence, pose: RigidTransform) -> tuple[float, float]:
