@@ -46,7 +46,7 @@ Make a recording of the files of a shoot, for calibrate_bag and for replay:
   --keypoints   OpenPose, COCO, MMPose or AlphaPose JSON: a folder with one file per frame, or a
                 file for a whole video, for each camera; or a folder of such (Pose2Sim's pose/)
   --cameras     ROS camera_info, Kalibr camchain, aniposelib/Pose2Sim TOML, Qualisys .qca.txt,
-                OpenCV YAML, or a rig file; several files for several cameras
+                OpenCV YAML or XML, or a rig file; several files for several cameras
 
   DIR/bag       rosbag2 with mocap/skeleton and <camera>/keypoints
   DIR/rig.yaml  the rig file

@@ -13,6 +13,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.io.camera_files.fields import entries_of
 from rpgd_ros.io.camera_files.qualisys import read_qualisys
 from rpgd_ros.io.camera_files.toml_format import parse_toml, read_toml
+from rpgd_ros.io.camera_files.xml_text import opencv_node, parse_xml
 from rpgd_ros.io.camera_files.yaml_formats import (
     plain_yaml,
     read_camera_info,
@@ -25,7 +26,7 @@ from rpgd_ros.io.strict import MAX_BYTES, Node, parse_yaml
 
 TOML: Final = 'aniposelib/Pose2Sim TOML'
 QUALISYS: Final = 'Qualisys calibration'
-OPENCV: Final = 'OpenCV FileStorage YAML'
+OPENCV: Final = 'OpenCV FileStorage'
 CAMERA_INFO: Final = 'ROS camera_info YAML'
 KALIBR: Final = 'Kalibr camchain'
 RIG: Final = 'rig file'
@@ -103,7 +104,7 @@ def parse_cameras(text: str, source: str, units: Units | None = None) -> CameraF
 
 def _read(text: str, source: str, units: Units | None) -> CameraFile:
     if text.lstrip().startswith('<'):
-        return CameraFile(QUALISYS, read_qualisys(text.lstrip(), source))
+        return _read_xml(text.lstrip(), source)
     if _TABLE.search(text) and _ASSIGNMENT.search(text):
         return CameraFile(TOML, read_toml(parse_toml(text, source), units))
     is_opencv = text.startswith('%YAML:1.0') or '!!opencv-matrix' in text
@@ -113,6 +114,16 @@ def _read(text: str, source: str, units: Units | None) -> CameraFile:
     if found is None:
         root.refuse(f'no known calibration; known are {", ".join(FORMATS)}')
     return CameraFile(found[0], found[1](root, Path(source).stem))
+
+
+def _read_xml(text: str, source: str) -> CameraFile:
+    root = parse_xml(text, source)
+    if root.tag == 'opencv_storage':
+        return CameraFile(OPENCV, read_opencv(opencv_node(root, source), Path(source).stem))
+    if root.tag != 'calibration':
+        msg = f'{source}: need <calibration> (QTM) or <opencv_storage>, got <{root.tag[:80]}>'
+        raise InputError(Reason.BAD_INPUT, msg)
+    return CameraFile(QUALISYS, read_qualisys(root, source))
 
 
 def _is_kalibr(root: Node, _is_opencv: bool) -> bool:  # noqa: FBT001
