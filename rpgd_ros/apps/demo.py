@@ -270,7 +270,8 @@ def _report(
         "error of the body's points": f'{1e3 * float(distances.mean()):.2f} mm (mean)',
         'uncertainty as published': f'{answer["sigma_rotation_deg"]:.4f} deg, '
         f'{1e3 * answer["sigma_position_m"]:.2f} mm (of the body)',
-        'MPJPE': f'{answer["mpjpe_px"]:.2f} px (median {answer["median_px"]:.2f} px)',
+        'MPJPE': f'{answer["mpjpe_px"]:.2f} px, wrong keypoints included '
+        f'(median {answer["median_px"]:.2f} px)',
         'inliers': f'{answer["inlier_ratio"]:.1%} of {answer["correspondences"]} correspondences',
         'time to calibrate': f'{answer["seconds"]:.2f} s',
         'messages lost': str(lost),
