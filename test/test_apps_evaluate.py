@@ -186,6 +186,20 @@ def test_selection_of_the_publication_leaves_out_and_says_so(
     assert (kept['left_out'], kept['frames']) == ('', '60')
 
 
+def test_default_solver_alone_gives_its_figures_alone(
+    copied: list[str], done: Done, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same figures as beside the others; the others' columns are empty."""
+    line = [*copied, '--methods', 'default', '--csv', str(tmp_path / 'rows.csv')]
+    assert evaluate.main(line) == 0
+    out = capsys.readouterr().out
+    assert 'RANSAC-P3P' not in out
+    assert '| default ' in out
+    for alone, beside in zip(read_csv(tmp_path / 'rows.csv'), done.rows, strict=True):
+        assert alone['default_mm'] == beside['default_mm']
+        assert alone['rpgd_px'] == ''
+
+
 def test_labels_are_exported_even_of_finished_sequences(
     copied: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -201,6 +215,7 @@ def test_labels_are_exported_even_of_finished_sequences(
 @pytest.mark.parametrize(
     ('options', 'message'),
     [
+        (['--methods', 'rpgd', '--export', 'x'], '--export writes the pose of the default'),
         (['--jobs', '0'], '--jobs must be 1 or more'),
         (['--sequences', 'gXX*'], "no sequence 'gXX*' among the 2"),
         (['--csv', 'nowhere/rows.csv'], 'nowhere is no folder'),

@@ -52,6 +52,7 @@ class Task:
         is_published: Whether the publication's selection is asked for.
         results: Folder of the results.
         export: Folder for labels; None = none are written.
+        methods: Which of `METHODS` to run.
 
     """
 
@@ -61,6 +62,18 @@ class Task:
     is_published: bool
     results: Path
     export: Path | None = None
+    methods: tuple[str, ...] = METHODS
+
+    @property
+    def configs(self) -> dict[str, CalibrationConfig]:
+        """Settings of each method that is asked for."""
+        paper = CalibrationConfig.paper(threshold_px=THRESHOLDS_PX[self.dataset])
+        known = {
+            'ransac': paper.with_stage('refine', method='none'),
+            'rpgd': paper,
+            'default': CalibrationConfig(),
+        }
+        return {method: known[method] for method in METHODS if method in self.methods}
 
     @property
     def stem(self) -> str:
@@ -76,16 +89,6 @@ class Task:
     def is_exported(self) -> bool:
         """Whether nothing is left to export; the .json file is written last."""
         return self.export is None or (self.export / f'{self.stem}.json').exists()
-
-
-def configs(dataset: DatasetName) -> dict[str, CalibrationConfig]:
-    """Return the settings of each method."""
-    paper = CalibrationConfig.paper(threshold_px=THRESHOLDS_PX[dataset])
-    return {
-        'ransac': paper.with_stage('refine', method='none'),
-        'rpgd': paper,
-        'default': CalibrationConfig(),
-    }
 
 
 def evaluate(task: Task) -> Row:
@@ -127,7 +130,7 @@ def fingerprint(task: Task, dataset: Dataset) -> str:
     parts = [
         __version__, task.dataset, task.name, task.is_published,
         [(stat.st_size, stat.st_mtime_ns) for stat in stats],
-        {name: asdict(config) for name, config in configs(task.dataset).items()},
+        {name: asdict(config) for name, config in task.configs.items()},
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
@@ -157,13 +160,12 @@ def _measure(task: Task, dataset: Dataset) -> Row:
     }
     if row['left_out']:
         return row
-    for method, config in configs(task.dataset).items():
+    for method, config in task.configs.items():
         columns, calibration = _solve(sequence, method, config, frames)
         row |= columns
-    # The last is the default solver's.
-    if task.export and calibration and not row['default_refusal']:
-        cameras, observations = sequence.cameras, sequence.observations
-        write_labels(task.export, task.stem, cameras, observations, calibration)
+        if task.export and method == 'default' and calibration and not row['default_refusal']:
+            cameras, observations = sequence.cameras, sequence.observations
+            write_labels(task.export, task.stem, cameras, observations, calibration)
     return row
 
 

@@ -46,7 +46,9 @@ def solved(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if not (row['left_out'] or row['error'])]
 
 
-def print_results(console: Console, dataset: DatasetName, rows: Sequence[Row]) -> None:
+def print_results(
+    console: Console, dataset: DatasetName, rows: Sequence[Row], methods: Sequence[str] = METHODS
+) -> None:
     """Print rows and table; nothing where nothing was solved."""
     counted = solved(rows)
     if not counted:
@@ -54,17 +56,17 @@ def print_results(console: Console, dataset: DatasetName, rows: Sequence[Row]) -
     frames = int(sum(row['frames'] for row in counted))
     paragraphs = [
         f'{dataset}: {len(counted)} sequences, {frames} frames',
-        _by_method(dataset, counted),
+        _by_method(dataset, counted, methods),
         CAPTION.replace('\n', ' '),
     ]
     if len(counted) <= MAX_ROWS:
-        paragraphs.insert(0, _by_sequence(counted))
+        paragraphs.insert(0, _by_sequence(counted, methods))
     # soft_wrap: a table that is cut at 80 columns where nobody watches is of no use.
     console.print('\n\n'.join(paragraphs), markup=False, highlight=False, soft_wrap=True)
 
 
-def _by_sequence(rows: Sequence[Row]) -> str:
-    header = ('sequence', 'frames', 'GT px', *(f'{LABELS[m]} px' for m in METHODS), 'mm', 'ms')
+def _by_sequence(rows: Sequence[Row], methods: Sequence[str]) -> str:
+    header = ('sequence', 'frames', 'GT px', *(f'{LABELS[m]} px' for m in methods), 'mm', 'ms')
     return markdown(
         header,
         [
@@ -72,7 +74,7 @@ def _by_sequence(rows: Sequence[Row]) -> str:
                 row['sequence'],
                 str(row['frames']),
                 figure(row['gt_px'], 5),
-                *(_pixels(row, method) for method in METHODS),
+                *(_pixels(row, method) for method in methods),
                 figure(row['default_mm']),
                 figure(row['default_ms'] + row['read_ms']),
             )
@@ -85,13 +87,13 @@ def _pixels(row: Row, method: str) -> str:
     return figure(row[f'{method}_px'], 5) + ('!' if row[f'{method}_refusal'] else '')
 
 
-def _by_method(dataset: DatasetName, rows: Sequence[Row]) -> str:
+def _by_method(dataset: DatasetName, rows: Sequence[Row], methods: Sequence[str]) -> str:
     header = ('', 'px', '/ GT', 'deg', 'mm', 'ms', 'refused', 'published px', '/ GT', 'ms')
     paper = PUBLISHED[dataset]
     published = {'ransac': paper.ransac, 'rpgd': paper.rpgd}
     truth = float(_column(rows, 'gt_px').mean())
     lines = [('GT', figure(truth, 5), '1', *'----', f'{paper.ground_truth}', '1', '-')]
-    for method in METHODS:
+    for method in methods:
         pixels = _column(rows, f'{method}_px')
         known = np.isfinite(pixels)
         mean = _mean(pixels[known])
