@@ -125,7 +125,7 @@ def test_parameters_are_answered_while_a_calibration_runs(walk: Scene, tmp_path:
     """A run of seconds does not stop the executor's thread; it keeps its own settings."""
     rig = tmp_path / 'rig.yaml'
     rig.write_bytes(walk.rig.read_bytes())
-    slow = ('refine.method:=adam', 'refine.iterations:=100000', 'max_seconds:=2.0')
+    slow = ('refine.method:=adam', 'refine.iterations:=100000', 'max_seconds:=6.0')
     with live(rig, *slow) as running:
         running.play(walk)
         called = running.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
