@@ -34,7 +34,7 @@ def test_the_calibrated_skeleton_covers_the_keypoints_and_a_wrong_one_does_not()
         return int((np.abs(above_legend - REPROJECTED).sum(-1) < 60).sum())
 
     truth = case.truth.world_T_mocap
-    moved = RigidTransform(truth.rotation, truth.translation + [0.5, 0.0, 0.0])
+    moved = RigidTransform(truth.rotation, truth.translation + np.array([0.5, 0.0, 0.0]))
     assert uncovered(truth) < 0.1 * uncovered(moved)
 
 
