@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from geometry_msgs.msg import TransformStamped
 from harness import Child, ros_environment, running
 from ros_scene import Scene
+from scenes import errors
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from rpgd_ros.core import RigidTransform
 from rpgd_ros.io.rig import read_rig
 from rpgd_ros.ros.client import NODE, CalibratorClient
 from rpgd_ros.ros.domain import free_domain
@@ -105,3 +108,21 @@ def live(rig: Path, *parameters: str, namespace: str = '') -> Iterator[Live]:
         Peer('peer', domain_id=domain, namespace=namespace) as peer,
     ):
         yield Live(child, peer, CalibratorClient(peer, read_rig(rig)))
+
+
+def bits(message: TransformStamped) -> list[str]:
+    """Return every bit of a transform message."""
+    t, q = message.transform.translation, message.transform.rotation
+    return [value.hex() for value in (t.x, t.y, t.z, q.x, q.y, q.z, q.w)]
+
+
+def answered_bits(answer: dict[str, Any]) -> list[str]:
+    """Return every bit of the transform in the answer of ~/calibrate."""
+    return [float(value).hex() for value in (*answer['xyz'], *answer['quat_xyzw'])]
+
+
+def assert_close(found: RigidTransform, scene: Scene) -> None:
+    """Compare with the truth; eight seconds of walk give 0.01 deg and 0.3 mm."""
+    error_deg, error_m = errors(found, scene.world_T_mocap, scene.recording.observations())
+    assert error_deg < 0.1
+    assert error_m < 0.005
