@@ -17,7 +17,7 @@ import pytest
 import rpgd_ros
 
 ROOT = Path(__file__).resolve().parents[1]
-PROGRAMS = ('calibrate_bag', 'calibrator', 'import_recording', 'simulate')
+PROGRAMS = ('calibrate_bag', 'calibrator', 'evaluate', 'import_recording', 'simulate')
 # What a build leaves behind, and what is far too large to copy.
 LEFTOVERS = shutil.ignore_patterns(
     '.git', '.venv*', '.*_cache', '.hypothesis', '__pycache__', '*.egg-info', 'build', 'install',
@@ -111,7 +111,7 @@ def test_pip_installs_the_ament_index_and_the_files_to_copy(venv: Path) -> None:
 
 
 @pytest.mark.packaging
-@pytest.mark.parametrize('name', ['calibrate_bag', 'import_recording', 'simulate'])
+@pytest.mark.parametrize('name', ['calibrate_bag', 'evaluate', 'import_recording', 'simulate'])
 def test_installed_offline_program_explains_itself(venv: Path, tmp_path: Path, name: str) -> None:
     """The wheel holds every module that the program needs, and the program starts."""
     assert 'usage:' in run(venv / 'bin' / name, '--help', cwd=tmp_path, PYTHONPATH='')
@@ -143,7 +143,7 @@ def test_colcon_puts_the_program_where_ros2_run_looks(tree: Path, name: str) -> 
 
 
 @pytest.mark.packaging
-@pytest.mark.parametrize('name', ['calibrate_bag', 'import_recording', 'simulate'])
+@pytest.mark.parametrize('name', ['calibrate_bag', 'evaluate', 'import_recording', 'simulate'])
 @pytest.mark.usefixtures('colcon')
 def test_program_of_a_sourced_workspace_explains_itself(tree: Path, name: str) -> None:
     """The program starts from the workspace once that is sourced."""
