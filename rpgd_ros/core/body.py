@@ -22,6 +22,7 @@ SMALLEST_BODY_M = 0.05
 UNITS_PER_M = {'millimetres': 1000.0, 'centimetres': 100.0, 'inches': 39.37}
 TYPICAL_BODY_M = 1.5  # diagonal of the joints' bounding box: 1.2 sitting to 2 walking
 BODY_FRAMES, BODY_FRAMES_PER_CAMERA = 200, 20  # looked at for size and motion: 10 a second of walk
+STRAY = 20.0  # times the median distance from the middle: a marker gone wild, not a walk
 LINE_RATIO = 1e-3  # second over first extent of the points: a line, up to rounding and noise
 
 
@@ -41,7 +42,9 @@ def check_body(sights: Sequence[Sight]) -> None:
         msg = f'{there.sum()} correspondences, need at least 6'
         raise CalibrationError(Reason.TOO_FEW_POINTS, msg)
     _check_size(x)
-    points = x[there] - x[there].mean(0)
+    points = x[there] - np.median(x[there], axis=0)
+    reach = np.linalg.norm(points, axis=1)
+    points = points[reach <= STRAY * np.median(reach)]
     extent = np.sqrt(np.maximum(np.linalg.eigvalsh(points.T @ points)[::-1], 0.0))
     if extent[1] < LINE_RATIO * extent[0] or extent[0] == 0.0:
         shape = 'point' if extent[0] < 1e-9 else 'line'
