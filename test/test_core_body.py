@@ -56,6 +56,14 @@ def test_one_joint_far_off_does_not_change_the_unit() -> None:
     check_body(sights)
 
 
+def test_one_joint_kilometres_away_does_not_make_the_rest_a_line() -> None:
+    """A marker gone wild for a frame hides no shape."""
+    sights = sights_of(scene('human36m', 20, 3))
+    for sight in sights:
+        sight.view.x_mocap[0, 3] = [13_818.0, 0.0, 0.0]
+    check_body(sights)
+
+
 def test_motion_is_what_the_centre_of_the_body_covers() -> None:
     """A straight walk of 3 m, whatever the limbs do; a stray frame does not count."""
     rng = np.random.default_rng(0)
