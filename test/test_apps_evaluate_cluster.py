@@ -110,6 +110,26 @@ def test_cluster_that_loses_a_worker_finds_the_same_as_one_process(
     assert len(list((tmp_path / 'results').iterdir())) == 5
 
 
+def test_stopped_run_takes_its_tasks_back(cluster: Cluster, tmp_path: Path) -> None:
+    """Exit code 130; what is finished is kept, and the cluster does no more of the rest."""
+    tree, results = tmp_path / 'tree', tmp_path / 'results'
+    tree.mkdir()
+    write_twin(plan('aistpp', sequences=12, seconds=0.5), tree)
+    line = [sys.executable, '-m', 'rpgd_ros.apps.evaluate', str(tree), '--dataset', 'aistpp']
+    line += ['--results', str(results), '--scheduler', cluster.address]
+    program = subprocess.Popen(
+        line, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True
+    )
+    wait_until(lambda: list(results.glob('*.json')))
+    program.send_signal(signal.SIGINT)
+    _, complaint = program.communicate(timeout=60.0)
+    assert program.returncode == 130
+    assert 'goes on from here' in complaint
+    assert 'Traceback' not in complaint
+    assert list(each_on_cluster(str, [1], address=cluster.address)) == [(1, '1')]
+    assert 1 <= len(list(results.glob('*.json'))) < 12
+
+
 def kill_worker(number: int) -> int:
     """Kill the process that is told an odd number."""
     if number % 2:
