@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_files import qualisys_text
+from camera_files import opencv_text, qualisys_text
 from shoot import Shoot, make_shoot, run_import, words_of, write_shoot
 from shoot_files import write_coco, write_openpose, write_trc
+
+from rpgd_ros.apps import import_recording
 
 
 @pytest.fixture(scope='module')
@@ -89,6 +91,32 @@ def test_what_is_odd_is_said(
     assert 'of the keypoints lie outside its 1920 x 1080 image' in said
     assert f'no keypoints for {shoot.cameras[1].name}: left out' in said
     assert 'with --up x the body stands along ' in said
+
+
+def test_cameras_without_poses_are_said_to_be_of_no_use_together(
+    folder: Path, shoot: Shoot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Several intrinsic calibrations are no rig."""
+    for camera in shoot.cameras:
+        (folder / f'{camera.name}.yml').write_text(opencv_text(camera))
+    files = [folder / f'{camera.name}.yml' for camera in shoot.cameras]
+    assert run_import(*words_of(folder, cameras=files, dry_run=True)) == 0
+    assert 'warning: the calibration gives no poses for several' in capsys.readouterr().out
+
+
+def test_unforeseen_error_is_reported_as_one(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With a code of its own, and nothing written."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(import_recording, 'write_plan', fail)
+    before = names_in(folder)
+    assert run_import(*words_of(folder)) == 70
+    assert 'this should not happen, please report it' in capsys.readouterr().err
+    assert names_in(folder) == before
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from shoot_files import write_bvh, write_csv, write_trc
 
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
+from rpgd_ros.importing import c3d, text
 from rpgd_ros.importing.skeleton_files import read_skeleton
 from rpgd_ros.skeletons import CONVENTIONS
 
@@ -148,7 +150,7 @@ def test_what_is_written_is_read_back(
 def test_c3d_is_read_through_its_library(tmp_path: Path) -> None:
     """Points that were not seen, an unlabelled one, a subject before the names, a first frame."""
     ezc3d = pytest.importorskip('ezc3d')
-    x = body(5)
+    x = body(1000)  # more than a pipe holds
     file = ezc3d.c3d()
     point = file['parameters']['POINT']
     point['UNITS']['value'], point['RATE']['value'] = ['mm'], [50.0]
@@ -162,9 +164,68 @@ def test_c3d_is_read_through_its_library(tmp_path: Path) -> None:
     found = read_skeleton(tmp_path / 'a.c3d')
     assert found.joints == JOINTS
     assert (found.units, found.up) == ('mm', 'z')
-    np.testing.assert_allclose(found.time_s, np.arange(5) / 50.0)
+    np.testing.assert_allclose(found.time_s, np.arange(1000) / 50.0)
     assert np.isnan(found.values[3, 2]).all()
     np.testing.assert_allclose(found.values[0], 1000.0 * x[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'message'),
+    [
+        (struct.pack('<f', 50.0), bytes(4), 'POINT:RATE is 0 Hz, need 1 to 2000: export it again'),
+        (b'mm', b'px', "POINT:UNITS 'px' is unknown, need one of m, mm"),
+    ],
+)
+def test_c3d_without_a_usable_parameter_is_refused(
+    tmp_path: Path, old: bytes, new: bytes, message: str
+) -> None:
+    """Rates and units are never made up."""
+    ezc3d = pytest.importorskip('ezc3d')
+    file = ezc3d.c3d()
+    point = file['parameters']['POINT']
+    point['UNITS']['value'], point['RATE']['value'] = ['mm'], [50.0]
+    point['LABELS']['value'] = list(JOINTS)
+    file['data']['points'] = np.ones((4, len(JOINTS), 3))
+    file.write(str(tmp_path / 'a.c3d'))
+    data = (tmp_path / 'a.c3d').read_bytes()
+    (tmp_path / 'a.c3d').write_bytes(data.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_skeleton(tmp_path / 'a.c3d')
+
+
+def test_binary_file_is_no_text(tmp_path: Path) -> None:
+    """Whatever its first bytes promise."""
+    (tmp_path / 'a.trc').write_bytes(b'PathFileType\t4\n' + bytes(8))
+    with pytest.raises(InputError, match='is a binary file, need text'):
+        read_skeleton(tmp_path / 'a.trc')
+
+
+def test_file_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than the most that is read at once."""
+    monkeypatch.setattr(text, 'MAX_BYTES', 2**20)
+    (tmp_path / 'a.csv').write_text('time' + ',' * 2**20)
+    with pytest.raises(InputError, match='more than 1 MiB: split the recording'):
+        read_skeleton(tmp_path / 'a.csv')
+
+
+@pytest.mark.parametrize(
+    ('code', 'message'),
+    [
+        ('import os\nos.abort()', r'a.c3d: cannot be read as C3D: damaged'),
+        ('while True: pass', r'a.c3d: cannot be read as C3D within 1 s: it is damaged'),
+    ],
+)
+def test_library_that_crashes_or_hangs_ends_in_our_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
+) -> None:
+    """It does both on some damaged files; here a stand-in does, in its process."""
+    pytest.importorskip('ezc3d')
+    (tmp_path / 'child.py').write_text(code)
+    monkeypatch.setattr(c3d, 'CHILD', tmp_path / 'child.py')
+    monkeypatch.setattr(c3d, 'MAX_SECONDS', 1.0)
+    (tmp_path / 'a.c3d').write_bytes(b'\x02\x50' + bytes(600))
+    with pytest.raises(InputError, match=message):
+        read_skeleton(tmp_path / 'a.c3d')
 
 
 def test_c3d_without_its_library_says_how_to_get_it(
@@ -187,7 +248,7 @@ def test_damaged_c3d_is_refused(tmp_path: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ('text', 'old', 'new', 'message'),
+    ('content', 'old', 'new', 'message'),
     [
         (TRC, 'mm', 'furlong', r":3: Units 'furlong' is unknown, need one of m,"),
         (TRC, '100\t100\t3\t2\tmm', '60\t60\t3\t2\tmm', ':3: DataRate is 60 Hz, but the Time '),
@@ -210,6 +271,8 @@ def test_damaged_c3d_is_refused(tmp_path: Path, data: bytes) -> None:
         (BVH, 'OFFSET 10 0 0', 'OFFSET 10 0', r":8: need ROOT, JOINT, .* got 'OFFSET'"),
         (BVH, 'MOTION\n', '', ':21: need MOTION after the hierarchy'),
         (BVH[:150], '', '', 'ends too early: is it cut off'),
+        (BVH, '{\n  OFFSET 0 0 0', 'OFFSET 0 0 0', r":3: need {, got 'OFFSET'"),
+        (BVH, 'HIERARCHY\n', 'HIERARCHY now\n', ':1: no BVH file'),
         (CSV, 'cm', 'px', r":1: units 'px' are unknown, need one of m, cm, mm, inch"),
         (CSV, 'up: y', 'up: w', ":2: up 'w' is no axis"),
         (CSV, 'left_hip.y', 'left.y', ":3: columns 2 to 4 are 'left_hip.x', 'left.y'"),
@@ -220,11 +283,11 @@ def test_damaged_c3d_is_refused(tmp_path: Path, data: bytes) -> None:
     ],
 )  # fmt: skip
 def test_fault_is_named_with_file_and_line(
-    tmp_path: Path, text: str, old: str, new: str, message: str
+    tmp_path: Path, content: str, old: str, new: str, message: str
 ) -> None:
     """One thing wrong in an otherwise good file, and what to do."""
     path = tmp_path / 'file'
-    path.write_text(text.replace(old, new, 1) if old else text)
+    path.write_text(content.replace(old, new, 1) if old else content)
     with pytest.raises(InputError, match=message) as refused:
         read_skeleton(path, None)
     assert refused.value.message.startswith(str(path))
@@ -256,9 +319,9 @@ def test_damaged_text_is_read_or_refused_in_our_words(
     """Cut, and with characters exchanged: never another error."""
     start = data.draw(st.integers(0, len(kind)))
     length = data.draw(st.integers(0, 30))
-    text = kind[:start] + data.draw(st.text(max_size=6)) + kind[start + length :]
+    damaged = kind[:start] + data.draw(st.text(max_size=6)) + kind[start + length :]
     path = tmp_path_factory.mktemp('file') / 'file'
-    path.write_bytes(text.encode('utf-8', errors='replace'))
+    path.write_bytes(damaged.encode('utf-8', errors='replace'))
     try:
         found = read_skeleton(path)
     except InputError:

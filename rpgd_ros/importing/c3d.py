@@ -3,20 +3,28 @@
 
 from __future__ import annotations
 
-import importlib
+import json
+import subprocess
+import sys
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from rpgd_ros.core.errors import Reason
+from rpgd_ros.core.geometry import Array
 from rpgd_ros.importing.skeleton import AXES, MAX_FPS, Axis, SkeletonFile
 from rpgd_ros.importing.text import read_bytes, refuse, shown
 
 FORMAT: Final = 'C3D'
 UNITS: Final = {'m': 'm', 'mm': 'mm', 'cm': 'cm', 'in': 'inch', 'inch': 'inch'}
 MAGIC: Final = 0x50  # second byte of each C3D file
+CHILD: Final = Path(__file__).with_name('c3d_child.py')
+MAX_SECONDS: Final = 120.0  # 60 markers in 36 000 frames take 3
+
+Parameters = Mapping[str, list[Any]]
 
 
 def read_c3d(path: Path) -> SkeletonFile:
@@ -31,41 +39,48 @@ def read_c3d(path: Path) -> SkeletonFile:
     """
     if read_bytes(path)[1:2] != bytes([MAGIC]):
         refuse(path, None, 'is no C3D file')
-    try:
-        ezc3d = importlib.import_module('ezc3d')
-    except ImportError:
+    if find_spec('ezc3d') is None:
         refuse(path, None, "C3D needs the library ezc3d: pip install 'rpgd_ros[import]'")
-    try:
-        file = ezc3d.c3d(str(path))
-        points = np.array(file['data']['points'], dtype=np.float64)[:3]
-        residuals = np.array(file['data']['meta_points']['residuals'], dtype=np.float64)[0]
-        parameters = file['parameters']['POINT']
-        first = int(file['header']['points']['first_frame'])
-    except (OSError, RuntimeError, ValueError, LookupError, MemoryError) as error:
-        refuse(path, None, f'cannot be read as C3D: {str(error)[:200]}')
+    parameters, points = _in_a_child(path)
     rate = _rate(path, parameters)
     labels = _labels(path, parameters, points.shape[1])
     keep = [j for j, label in enumerate(labels) if label and not label.startswith('*')]
-    seen = np.where(residuals < 0.0, np.nan, points)
-    values = seen[:, keep].transpose(2, 1, 0)
+    values = points[:, keep].transpose(2, 1, 0)
     up = _text(parameters, 'Y_SCREEN').lstrip('+-').lower()
     return SkeletonFile(
         path,
         FORMAT,
         _without_subject([labels[j] for j in keep]),
-        (first + np.arange(len(values))) / rate,
+        (parameters['FIRST'][0] + np.arange(len(values), dtype=np.float64)) / rate,
         values,
         _units(path, parameters),
         up=_axis(up),
     )
 
 
-def _values(parameters: Mapping[str, Any], key: str) -> list[Any]:
-    return list(parameters[key]['value']) if key in parameters else []
+def _in_a_child(path: Path) -> tuple[Parameters, Array]:
+    """Return the parameters of the points, and the points (3, J, T)."""
+    command = [sys.executable, '-P', str(CHILD), str(path.resolve())]
+    try:
+        done = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=MAX_SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        refuse(path, None, f'cannot be read as C3D within {MAX_SECONDS:g} s: it is damaged')
+    if done.returncode != 0:
+        said = done.stderr.decode(errors='replace').strip().splitlines()
+        refuse(path, None, f'cannot be read as C3D: {(said or ["damaged"])[-1][:200]}')
+    line, _, data = done.stdout.partition(b'\n')
+    parameters = json.loads(line)
+    return parameters, np.frombuffer(data, '<f8').reshape(parameters['SHAPE'])
 
 
-def _text(parameters: Mapping[str, Any], key: str) -> str:
-    values = _values(parameters, key)
+def _text(parameters: Parameters, key: str) -> str:
+    values = parameters[key]
     return str(values[0]).strip() if values else ''
 
 
@@ -73,15 +88,15 @@ def _axis(text: str) -> Axis | None:
     return next((axis for axis in AXES if axis == text), None)
 
 
-def _rate(path: Path, parameters: Mapping[str, Any]) -> float:
-    values = _values(parameters, 'RATE')
+def _rate(path: Path, parameters: Parameters) -> float:
+    values = parameters['RATE']
     rate = float(values[0]) if values else 0.0
     if not 0.0 < rate <= MAX_FPS:
         refuse(path, None, f'POINT:RATE is {rate:g} Hz, need 1 to {MAX_FPS:g}: export it again')
     return rate
 
 
-def _units(path: Path, parameters: Mapping[str, Any]) -> str | None:
+def _units(path: Path, parameters: Parameters) -> str | None:
     word = _text(parameters, 'UNITS').lower()
     if word and word not in UNITS:
         msg = f'POINT:UNITS {shown(word)} is unknown, need one of {", ".join(UNITS)}'
@@ -89,10 +104,10 @@ def _units(path: Path, parameters: Mapping[str, Any]) -> str | None:
     return UNITS[word] if word else None
 
 
-def _labels(path: Path, parameters: Mapping[str, Any], n_points: int) -> list[str]:
+def _labels(path: Path, parameters: Parameters, n_points: int) -> list[str]:
     labels: list[str] = []
-    for key in ('LABELS', *(f'LABELS{i}' for i in range(2, 10))):  # 255 in each
-        labels += [str(label).strip() for label in _values(parameters, key)]
+    for key in ('LABELS', *(f'LABELS{i}' for i in range(2, 10))):
+        labels += [str(label).strip() for label in parameters[key]]
     if len(labels) < n_points:
         refuse(path, None, f'{n_points} points, but {len(labels)} labels: label them and export')
     return labels[:n_points]

@@ -86,10 +86,9 @@ def numbers(cells: Sequence[str], path: Path, line: int) -> list[float]:
     try:
         values = [float(cell) if cell.strip() else math.nan for cell in cells]
     except ValueError:
-        for column, cell in enumerate(cells, start=1):
-            if cell.strip():
-                _check(cell, path, line, column)
-        raise
+        bad = ((i, cell) for i, cell in enumerate(cells, 1) if not _is_number(cell))
+        column, cell = next(bad)
+        refuse(path, line, f'column {column}: need a number, got {shown(cell)}')
     if any(map(math.isinf, values)):
         column = 1 + next(i for i, v in enumerate(values) if math.isinf(v))
         refuse(path, line, f'column {column} is infinite, need a number')
@@ -110,11 +109,12 @@ def check_times(path: Path, time_s: Array, lines: Sequence[int]) -> None:
         refuse(path, lines[k + 1], msg)
 
 
-def _check(cell: str, path: Path, line: int, column: int) -> None:
+def _is_number(cell: str) -> bool:
     try:
-        float(cell)
+        float(cell.strip() or 'nan')
     except ValueError:
-        refuse(path, line, f'column {column}: need a number, got {shown(cell)}')
+        return False
+    return True
 
 
 def shown(value: object) -> str:
