@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rpgd_ros.core.agreement import Disagreement, disagreements, lost_cameras
 from rpgd_ros.core.body import check_body, motion_m, sampled_joints
 from rpgd_ros.core.clocks import Clocks, set_clocks
 from rpgd_ros.core.config import (
@@ -18,7 +17,6 @@ from rpgd_ros.core.config import (
     PAPER_THRESHOLD_PX,
     CalibrationConfig,
 )
-from rpgd_ros.core.covariance import covariances
 from rpgd_ros.core.diagnose import (
     MAY_BE_MIRRORED,
     MIRRORED,
@@ -29,9 +27,10 @@ from rpgd_ros.core.diagnose import (
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, noise_at
-from rpgd_ros.core.quality import fits, refuse
+from rpgd_ros.core.quality import refuse
 from rpgd_ros.core.ransac import published, robust_start
 from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
+from rpgd_ros.core.report import report, with_excluded
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.core.thin import MIDDLE_POINTS, budget, spread, thin
 
@@ -39,11 +38,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rpgd_ros.core.camera import Camera
-    from rpgd_ros.core.examine import Tally
     from rpgd_ros.core.geometry import Array, RigidTransform
     from rpgd_ros.core.observations import Observations
-
-ROUNDING_PX2 = 1e-8  # squared rounding of a residual in single precision: no data are better
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +100,30 @@ def calibrate(
     """
     config = config or CalibrationConfig()
     run = _Run(progress, should_stop, clock, clock(), config.max_seconds)
+    seed = config.ransac.seed if seed is None else seed
+    solved = _solve(cameras, observations, config, seed, run)
+    if config.rig.on_bumped_camera == 'exclude':
+        solved = _without_moved(solved, cameras, observations, seed, run)
+    _pass_gates(solved, run)
+    return solved.calibration
+
+
+class _Solved(NamedTuple):
+    """A solve before the gates."""
+
+    calibration: Calibration
+    sights: list[Sight]
+    rival_ratio: float
+
+
+def _solve(
+    cameras: Sequence[Camera], observations: Observations, config: CalibrationConfig,
+    seed: int, run: _Run,
+) -> _Solved:  # fmt: skip
+    """Start, refine and collect the figures."""
     sights = _sights(cameras, observations)
     check_body(sights)
-    rng = np.random.default_rng(config.ransac.seed if seed is None else seed)
+    rng = np.random.default_rng(seed)
     centroid = _centroid(sights)
     clocks = Clocks()
     if config.ransac.score == 'inliers':
@@ -120,42 +137,33 @@ def calibrate(
             )
         (pose, noise, _), rival_ratio = start.candidates[0], start.rival_ratio
     descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
-    calibration = _report(
+    calibration = report(
         sights, descent, loss, threshold_px=threshold_px, centroid=centroid, clocks=clocks,
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
         order=[c.name for c in cameras],
     )  # fmt: skip
-    moved = {d.camera for d in calibration.disagreements if d.rival is None}
-    if moved and config.rig.on_bumped_camera == 'exclude':
-        kept = [v for v, camera in enumerate(cameras) if camera.name not in moved]
-        views = tuple(observations.views[v] for v in kept)
-        rest = calibrate(
-            [cameras[v] for v in kept], replace(observations, views=views), config=config,
-            seed=seed, progress=progress, should_stop=should_stop, clock=clock,
-        )  # fmt: skip
-        return _with_excluded(rest, calibration, moved)
-    _pass_gates(sights, calibration, rival_ratio, run)
-    return calibration
+    return _Solved(calibration, sights, rival_ratio)
 
 
-def _with_excluded(rest: Calibration, whole: Calibration, moved: set[str]) -> Calibration:
-    """Return the solve without the moved cameras, with what was found out about them."""
-    named = tuple(d for d in whole.disagreements if d.camera in moved)
-    fits_of_moved = {name: whole.per_camera[name] for name in whole.per_camera if name in moved}
-    excluded = f'{", ".join(sorted(moved))}: not used for the transform'
-    return replace(
-        rest,
-        disagreements=named + rest.disagreements,
-        per_camera={**rest.per_camera, **fits_of_moved},
-        warnings=(*(d.sentence() for d in named), excluded, *rest.warnings),
-        seconds=whole.seconds + rest.seconds,
+def _without_moved(
+    solved: _Solved, cameras: Sequence[Camera], observations: Observations, seed: int, run: _Run
+) -> _Solved:
+    """Solve again without the cameras that were moved, if any."""
+    whole = solved.calibration
+    moved = {d.camera for d in whole.disagreements if d.rival is None}
+    if not moved:
+        return solved
+    kept = [v for v, camera in enumerate(cameras) if camera.name not in moved]
+    views = tuple(observations.views[v] for v in kept)
+    rest = _solve(
+        [cameras[v] for v in kept], replace(observations, views=views), whole.config, seed, run
     )
+    return rest._replace(calibration=with_excluded(rest.calibration, whole, moved))
 
 
-def _pass_gates(
-    sights: Sequence[Sight], calibration: Calibration, rival_ratio: float, run: _Run
-) -> None:
+def _pass_gates(solved: _Solved, run: _Run) -> None:
     """Raise when nobody should use the calibration, naming the cause where it is known."""
+    calibration, sights, rival_ratio = solved
     config = calibration.config
     refuse_swapped(sights, calibration)
     try:
@@ -235,63 +243,3 @@ def _refine(
         few = thin(sights, refine.frame_stride, lambda n: spread(n, PAPER_REFINE_FRAMES))
         pose = adam(few, pose, refine, loss, check=check)
     return appraise(used, pose, centroid, loss, threshold_px=threshold_px), loss, threshold_px
-
-
-def _report(
-    sights: Sequence[Sight],
-    descent: Descent,
-    loss: Loss,
-    *,
-    threshold_px: float,
-    centroid: Array,
-    clocks: Clocks,
-    joint_names: tuple[str, ...] | None,
-    config: CalibrationConfig,
-    seconds: float,
-    order: Sequence[str],
-) -> Calibration:
-    """Collect the figures, cameras in the caller's order."""
-    counts = descent.examination.tally
-    n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())
-    variance = 1.0
-    if isinstance(loss, SquaredLoss) and n > 3:
-        # Per axis: the squared loss is a log likelihood only when divided by the variance.
-        variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
-    timed = clocks.equations(descent.pose, centroid, loss)
-    covariance, over_time = covariances(descent, centroid, variance=variance, timed=timed)
-    median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
-    contradicting = disagreements(sights, descent, centroid)
-    by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
-    names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
-    return Calibration(
-        world_T_mocap=descent.pose,
-        covariance=covariance,
-        covariance_over_time=over_time,
-        mpjpe_px=float(counts.error_px.sum()) / n if n else float('nan'),
-        median_px=float(median),
-        p95_px=float(p95),
-        inlier_ratio=n_in / n if n else 0.0,
-        inliers=n_in,
-        correspondences=n,
-        frames=int(counts.frames.max()),
-        threshold_px=threshold_px,
-        centroid_mocap=centroid,
-        per_camera={name: by_camera[name] for name in order if name in by_camera},
-        per_joint=fits(counts, names, axis=0),
-        config=config,
-        time_offset_s=clocks.offsets(timed),
-        disagreements=tuple(contradicting),
-        warnings=(*clocks.warnings, *_camera_warnings(sights, counts, contradicting)),
-        seconds=seconds,
-    )
-
-
-def _camera_warnings(
-    sights: Sequence[Sight], counts: Tally, contradicting: Sequence[Disagreement]
-) -> list[str]:
-    lost = lost_cameras([s.camera.name for s in sights], counts)
-    return [d.sentence() for d in contradicting] + [
-        f'camera {name} follows something else in {100 * share:.0f} % of its frames. '
-        'Check that its detector picks the person with the MoCap skeleton'
-        for name, share in lost
-    ]

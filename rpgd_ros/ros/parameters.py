@@ -62,6 +62,8 @@ class Parameter:
             InputError: Wrong type or outside the range.
 
         """
+        if value is False and 'off' in self.setting.choices:
+            value = 'off'  # unquoted it is a boolean to YAML, on the command line and in files
         read = _typed(self.default, value)
         if read is None:
             msg = f'parameter {self.name}: need {_type_name(self.default)}, got {shown(value)}'
@@ -192,9 +194,7 @@ def _typed(default: Value, value: object) -> Value | None:
     if isinstance(default, int):
         return value if isinstance(value, int) and not isinstance(value, bool) else None
     if isinstance(default, str):
-        # An unquoted off is a boolean to YAML, on the command line and in files.
-        text = 'off' if value is False else value
-        return text if isinstance(text, str) else None
+        return value if isinstance(value, str) else None
     items = () if value is None else value
     if isinstance(items, list | tuple) and all(isinstance(item, str) for item in items):
         return tuple(item for item in items if item)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Collects the figures of a solve."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rpgd_ros.core.agreement import Disagreement, disagreements, lost_cameras
+from rpgd_ros.core.covariance import covariances
+from rpgd_ros.core.geometry import Array
+from rpgd_ros.core.linearise import Sight
+from rpgd_ros.core.noise import Loss, SquaredLoss
+from rpgd_ros.core.quality import fits
+from rpgd_ros.core.refine import Descent
+from rpgd_ros.core.result import Calibration
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rpgd_ros.core.clocks import Clocks
+    from rpgd_ros.core.config import CalibrationConfig
+    from rpgd_ros.core.examine import Tally
+
+ROUNDING_PX2 = 1e-8  # squared rounding of a residual in single precision: no data are better
+
+
+def report(
+    sights: Sequence[Sight],
+    descent: Descent,
+    loss: Loss,
+    *,
+    threshold_px: float,
+    centroid: Array,
+    clocks: Clocks,
+    joint_names: tuple[str, ...] | None,
+    config: CalibrationConfig,
+    seconds: float,
+    order: Sequence[str],
+) -> Calibration:
+    """Collect the figures, cameras in the caller's order."""
+    counts = descent.examination.tally
+    n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())
+    variance = 1.0
+    if isinstance(loss, SquaredLoss) and n > 3:
+        # Per axis: the squared loss is a log likelihood only when divided by the variance.
+        variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
+    timed = clocks.equations(descent.pose, centroid, loss)
+    covariance, over_time = covariances(descent, centroid, variance=variance, timed=timed)
+    median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
+    contradicting = disagreements(sights, descent, centroid)
+    by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
+    names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
+    return Calibration(
+        world_T_mocap=descent.pose,
+        covariance=covariance,
+        covariance_over_time=over_time,
+        mpjpe_px=float(counts.error_px.sum()) / n if n else float('nan'),
+        median_px=float(median),
+        p95_px=float(p95),
+        inlier_ratio=n_in / n if n else 0.0,
+        inliers=n_in,
+        correspondences=n,
+        frames=int(counts.frames.max()),
+        threshold_px=threshold_px,
+        centroid_mocap=centroid,
+        per_camera={name: by_camera[name] for name in order if name in by_camera},
+        per_joint=fits(counts, names, axis=0),
+        config=config,
+        time_offset_s=clocks.offsets(timed),
+        disagreements=tuple(contradicting),
+        warnings=(*clocks.warnings, *_camera_warnings(sights, counts, contradicting)),
+        seconds=seconds,
+    )
+
+
+def _camera_warnings(
+    sights: Sequence[Sight], counts: Tally, contradicting: Sequence[Disagreement]
+) -> list[str]:
+    lost = lost_cameras([s.camera.name for s in sights], counts)
+    return [d.sentence() for d in contradicting] + [
+        f'camera {name} follows something else in {100 * share:.0f} % of its frames. '
+        'Check that its detector picks the person with the MoCap skeleton'
+        for name, share in lost
+    ]
+
+
+def with_excluded(rest: Calibration, whole: Calibration, moved: set[str]) -> Calibration:
+    """Return the solve without the moved cameras, with what was found out about them."""
+    named = tuple(d for d in whole.disagreements if d.camera in moved)
+    fits_of_moved = {name: whole.per_camera[name] for name in whole.per_camera if name in moved}
+    excluded = f'{", ".join(sorted(moved))}: not used for the transform'
+    return replace(
+        rest,
+        disagreements=named + rest.disagreements,
+        per_camera={**rest.per_camera, **fits_of_moved},
+        warnings=(*(d.sentence() for d in named), excluded, *rest.warnings),
+    )
