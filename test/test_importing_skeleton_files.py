@@ -222,7 +222,7 @@ def test_library_that_crashes_or_hangs_ends_in_our_words(
     pytest.importorskip('ezc3d')
     (tmp_path / 'child.py').write_text(code)
     monkeypatch.setattr(c3d, 'CHILD', tmp_path / 'child.py')
-    monkeypatch.setattr(c3d, 'MAX_SECONDS', 1.0)
+    monkeypatch.setattr(c3d, 'START_SECONDS', 1.0)
     (tmp_path / 'a.c3d').write_bytes(b'\x02\x50' + bytes(600))
     with pytest.raises(InputError, match=message):
         read_skeleton(tmp_path / 'a.c3d')

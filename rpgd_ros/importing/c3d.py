@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -22,7 +23,8 @@ FORMAT: Final = 'C3D'
 UNITS: Final = {'m': 'm', 'mm': 'mm', 'cm': 'cm', 'in': 'inch', 'inch': 'inch'}
 MAGIC: Final = 0x50  # second byte of each C3D file
 CHILD: Final = Path(__file__).with_name('c3d_child.py')
-MAX_SECONDS: Final = 120.0  # 60 markers in 36 000 frames take 3
+# The start of Python on a busy machine, and ten times what a megabyte takes.
+START_SECONDS, SECONDS_PER_MIB = 10.0, 1.0
 
 Parameters = Mapping[str, list[Any]]
 
@@ -37,11 +39,13 @@ def read_c3d(path: Path) -> SkeletonFile:
         InputError: BAD_INPUT or WRONG_UNIT; ezc3d is not installed.
 
     """
-    if read_bytes(path)[1:2] != bytes([MAGIC]):
+    data = read_bytes(path)
+    if data[1:2] != bytes([MAGIC]):
         refuse(path, None, 'is no C3D file')
     if find_spec('ezc3d') is None:
         refuse(path, None, "C3D needs the library ezc3d: pip install 'rpgd_ros[import]'")
-    parameters, points = _in_a_child(path)
+    seconds = START_SECONDS + SECONDS_PER_MIB * len(data) / 2**20
+    parameters, points = _in_a_child(path, seconds)
     rate = _rate(path, parameters)
     labels = _labels(path, parameters, points.shape[1])
     keep = [j for j, label in enumerate(labels) if label and not label.startswith('*')]
@@ -58,19 +62,19 @@ def read_c3d(path: Path) -> SkeletonFile:
     )
 
 
-def _in_a_child(path: Path) -> tuple[Parameters, Array]:
+def _in_a_child(path: Path, seconds: float) -> tuple[Parameters, Array]:
     """Return the parameters of the points, and the points (3, J, T)."""
-    command = [sys.executable, '-P', str(CHILD), str(path.resolve())]
+    command = [sys.executable, '-P', str(CHILD), str(path.resolve()), str(math.ceil(seconds))]
     try:
         done = subprocess.run(
             command,
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            timeout=MAX_SECONDS,
+            timeout=seconds,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        refuse(path, None, f'cannot be read as C3D within {MAX_SECONDS:g} s: it is damaged')
+        refuse(path, None, f'cannot be read as C3D within {seconds:.0f} s: it is damaged')
     if done.returncode != 0:
         said = done.stderr.decode(errors='replace').strip().splitlines()
         refuse(path, None, f'cannot be read as C3D: {(said or ["damaged"])[-1][:200]}')
