@@ -21,8 +21,8 @@ def each_on_cluster(
 ) -> Generator[tuple[T, R | None], None, None]:
     """Yield tasks with what a function makes of them on a cluster, as they finish.
 
-    Dask gives the tasks of a worker that died to the others. One whose workers die again and
-    again (`distributed.scheduler.allowed-failures`) is given up.
+    Dask gives the tasks of a worker that died to the others. One that was at or waiting for
+    workers that died again and again (`distributed.scheduler.allowed-failures`) is given up.
 
     Args:
         function: Of a module that the workers have; it keeps its results itself.
