@@ -40,11 +40,13 @@ What to do then, without ROS installed:
 
   $(VENV)/bin/simulate --help            make a recording with known truth
   $(VENV)/bin/calibrate_bag --help       calibrate from a rosbag2
+  $(VENV)/bin/import_recording --help    make a rosbag2 from the files of a shoot
+  $(VENV)/bin/evaluate --help            measure on a published dataset
   $(VENV)/bin/calibrator --help          calibrate live
 
 With ROS 2 Jazzy from apt, put this folder into a workspace's src/ instead:
 
-  pip install --break-system-packages 'rosbags>=0.11,<0.12'   # the one dependency not in apt
+  pip install --break-system-packages 'rosbags>=0.11.7,<0.12'   # the one dependency not in apt
   rosdep install --from-paths src --ignore-src
   colcon build --packages-select rpgd_ros && source install/setup.bash
   ros2 run rpgd_ros calibrator --ros-args -p rig_file:=rig.yaml
@@ -86,7 +88,7 @@ clean:
 	find rpgd_ros test -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/.ready: CANDIDATES := $(PYTHON)
-$(VENV)/.ready: REQUIRED := -e '.[ros,test,lint,colcon]'
+$(VENV)/.ready: REQUIRED := -e '.[ros,test,lint,colcon,datasets,cluster,import]'
 $(VENV)/.ready: setup.py setup.cfg package.xml
 	$(make_venv)
 

@@ -36,7 +36,7 @@ setup(
         'opencv-python-headless>=4.6,<6',
         'PyYAML>=6.0,<7',
         'rich>=13.7,<16',
-        'rosbags>=0.11,<0.12',
+        'rosbags>=0.11.7,<0.12',
     ],
     extras_require={
         # Jazzy as wheels, for machines without an installed ROS.
