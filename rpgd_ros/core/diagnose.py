@@ -74,7 +74,8 @@ def swapped_joints(
     sights: Sequence[Sight], pose: RigidTransform, threshold_px: float
 ) -> list[tuple[int, int]]:
     """Find pairs of joints whose keypoints lie on each other's projection instead of their own."""
-    hits, counts = 0.0, 0.0
+    n_joints = sights[0].view.n_joints
+    hits, counts = np.zeros((2, n_joints, n_joints))
     for sight in sights:
         part = sight.at_frames(spread(sight.view.n_frames, SWAP_FRAMES))
         seen = part.view.seen()[..., None]
@@ -83,8 +84,8 @@ def swapped_joints(
         # (F, keypoint, projection): who lies on whom.
         apart = uv[:, :, None] - projected[:, None]
         distance = np.hypot(apart[..., 0], apart[..., 1])
-        hits = hits + (distance < threshold_px).sum(0)
-        counts = counts + np.isfinite(distance).sum(0)
+        hits += (distance < threshold_px).sum(0)
+        counts += np.isfinite(distance).sum(0)
     ratio: Array = hits / np.maximum(counts, 1.0)
     own = np.diag(ratio)
     lost: IntArray = np.flatnonzero((own < LOST) & (np.diag(counts) > 0))

@@ -190,7 +190,8 @@ def draw_triplets(
     low, high = np.minimum(a, b), np.maximum(a, b)
     c += c >= low
     c += c >= high
-    return order[first[chosen][:, None] + np.stack([a, b, c], 1)]
+    triplets: IntArray = order[first[chosen][:, None] + np.stack([a, b, c], 1)]
+    return triplets
 
 
 def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
