@@ -41,7 +41,7 @@ Measure the solver on simulated people whose transform is known, and print table
 """
 EPILOG = """\
 examples, with `bench` for `python -m rpgd_ros.apps.bench`, or make bench ARGS='...':
-  bench                                        # all three: eight minutes on two processors
+  bench                                        # all three: eight minutes of two idle processors
   bench solver --seeds 20 --kinds mixed --ratios 0.5 0.7
   bench solver --data kinect --frames 300 --solvers rpgd_ros poselib-sub-trunc
   bench solver --data human36m --frames 30000 --seeds 3 --ratios
@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add('tables', nargs='*', metavar='TABLE', help=f'{", ".join(TABLES)} (default all)')
-    text = 'problems of each kind (default 40; solver 8)'
+    text = 'problems of each kind (default 40; solver 6)'
     add('--seeds', type=_whole, metavar='N', help=text)
     text = 'the first of them; other seeds are other problems (default 0)'
     add('--first-seed', type=int, default=0, metavar='N', help=text)
@@ -153,7 +153,7 @@ def _check(arguments: argparse.Namespace, names: Sequence[str]) -> None:
 
 
 def _measure(name: str, arguments: argparse.Namespace, show: Track) -> Table:
-    n_seeds = arguments.seeds or (8 if name == 'solver' else 40)
+    n_seeds = arguments.seeds or (6 if name == 'solver' else 40)
     seeds = range(arguments.first_seed, arguments.first_seed + n_seeds)
     frames = arguments.frames
     if name == 'published':
