@@ -67,13 +67,8 @@ def test_a_wrong_camera_stands_out_in_the_figures(change: dict[str, Any]) -> Non
 
 
 @pytest.mark.parametrize('change', WRONG, ids=['short', 'long', 'lens left out'])
-@pytest.mark.xfail(
-    strict=True,
-    reason='4 to 11 mm off with a sigma of 1 to 2 mm: residuals alone do not show a wrong focal '
-    'length, and the covariance holds nothing for it',
-)
 def test_wrong_intrinsics_are_within_the_reported_sigma(change: dict[str, Any]) -> None:
-    """Never accepted with an error above three sigma, all cameras wrong alike."""
+    """Residuals hardly show them, the film as a whole does: the sigma takes in what they move."""
     for seed in range(4):
         case = wrong_cameras(scene('human36m', 200, seed), change)
         found = calibrate(case.cameras, case.observations)

@@ -22,6 +22,7 @@ def covariances(
     *,
     variance: float = 1.0,
     timed: TimedNormal | None = None,
+    systematic: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return `Calibration.covariance` and `Calibration.covariance_over_time`, (6, 6) each.
 
@@ -37,6 +38,7 @@ def covariances(
         variance: Factor of the loss to a log likelihood (1 for a fitted `NoiseModel`).
         timed: Where offsets were estimated too, the sums by pose and offsets: what is not known
             of the offsets is then not known of the pose.
+        systematic: (6,) how far the pose may be off for a reason that was found but not mended.
 
     """
     inverse = invert(descent.normal.hessian, descent.normal.information)
@@ -50,10 +52,13 @@ def covariances(
         out: Array = to_origin @ about_pivot @ to_origin.T
         return 0.5 * (out + out.T)
 
-    by_joint = inverse @ _between_joints(seen.joint_scores) @ inverse
+    by_joint = inverse @ between_joints(seen.joint_scores) @ inverse
     by_time = inverse @ spread_between(seen.time_scores) @ inverse
     whole = larger(variance * inverse, by_joint) if timed is None else _timed_covariance(timed)
-    return moved(whole[:6, :6]), moved(by_time)
+    about_pivot = whole[:6, :6]
+    if systematic is not None:
+        about_pivot = about_pivot + np.outer(systematic, systematic)
+    return moved(about_pivot), moved(by_time)
 
 
 def offset_sigmas(timed: TimedNormal) -> Array:
@@ -67,10 +72,10 @@ def offset_sigmas(timed: TimedNormal) -> Array:
 def _timed_covariance(timed: TimedNormal) -> Array:
     """Covariance of pose and offsets, as in `covariances`."""
     inverse = invert(timed.hessian, timed.information)
-    return larger(inverse, inverse @ _between_joints(timed.joint_scores) @ inverse)
+    return larger(inverse, inverse @ between_joints(timed.joint_scores) @ inverse)
 
 
-def _between_joints(scores: Array) -> Array:
+def between_joints(scores: Array) -> Array:
     """Spread between joints, widened because a covariance of few groups is small too often.
 
     Of n groups its inverse is (n - 1) / (n - 5) times too large on the mean, for the three

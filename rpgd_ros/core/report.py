@@ -10,12 +10,14 @@ import numpy as np
 
 from rpgd_ros.core.agreement import Disagreement, disagreements, lost_cameras
 from rpgd_ros.core.covariance import covariances
+from rpgd_ros.core.focal import check_focal
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import Loss, SquaredLoss
+from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss
 from rpgd_ros.core.quality import fits
 from rpgd_ros.core.refine import Descent
 from rpgd_ros.core.result import Calibration
+from rpgd_ros.core.thin import budget, thin
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from rpgd_ros.core.config import CalibrationConfig
     from rpgd_ros.core.examine import Tally
 
+FOCAL_POINTS = 8192  # that the focal lengths are checked on: 2 ms
 ROUNDING_PX2 = 1e-8  # squared rounding of a residual in single precision: no data are better
 
 
@@ -48,7 +51,17 @@ def report(
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
         variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
     timed = clocks.equations(descent.pose, centroid, loss)
-    covariance, over_time = covariances(descent, centroid, variance=variance, timed=timed)
+    warnings, systematic = list(clocks.warnings), None
+    if isinstance(loss, NoiseModel):
+        focal = check_focal(
+            thin(sights, 0, budget(sights, FOCAL_POINTS)), descent.pose, centroid, loss
+        )
+        if focal.is_wrong:
+            warnings.append(focal.sentence())
+            systematic = focal.pose_shift
+    covariance, over_time = covariances(
+        descent, centroid, variance=variance, timed=timed, systematic=systematic
+    )
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     contradicting = disagreements(sights, descent, centroid)
     by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
@@ -71,7 +84,7 @@ def report(
         config=config,
         time_offset_s=clocks.offsets(timed),
         disagreements=tuple(contradicting),
-        warnings=(*clocks.warnings, *_camera_warnings(sights, counts, contradicting)),
+        warnings=(*warnings, *_camera_warnings(sights, counts, contradicting)),
         seconds=seconds,
     )
 
