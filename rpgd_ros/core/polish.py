@@ -15,7 +15,7 @@ from rpgd_ros.core.pool import Pool
 LEAST_SHARE = 0.08  # below the least share of inliers that is accepted
 POLISH_QUANTILE = 0.1  # of the residuals: their scale while the share of inliers is unknown
 POLISH_STEPS = 10
-POLISH_DONE = 1e-5  # rad and m: far below what the pool can tell
+POLISH_DONE = 1e-4  # rad and m: below what the pool can tell; the stages to come go on from there
 
 
 class Candidate(NamedTuple):

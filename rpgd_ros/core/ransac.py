@@ -42,12 +42,12 @@ COARSE_POINTS = 256  # first ranking; of those ranked, KEPT go on to the whole p
 KEPT = 24
 POLISHED = 4  # the best by score, different from each other
 WITHIN = 2.0 * np.log(2.0)  # of the best score: others have twice its residuals, no rivals
-BATCH = 64
+BATCHES = 64, 128  # the first is enough for clean data
 CLEAN_TRIPLETS = 8.0  # expected number of all-inlier triplets at the end: exp(-8) to have none
 # By focal length, so that they mean an angle: residuals below the first rank alike (a pose made of
 # three noisy points is no better than that), as do those beyond the last; between lies a guess
 # which correspondences a hypothesis explains before anything is polished.
-SOFT, EXPLAINED, CAP = 0.002, 0.01, 0.03
+SOFT, EXPLAINED, CAP = 0.002, 0.015, 0.03
 SAME_ANGLE = np.radians(2.0)  # two poses nearer than this, and SAME_DISTANCE, are one minimum
 SAME_DISTANCE = 0.15  # metres, at the body's centroid
 
@@ -96,11 +96,11 @@ def robust_start(
     coarse = pool.take(np.arange(0, len(pool), max(1, len(pool) // COARSE_POINTS)))
     kept = Ranked(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
     candidates: list[Candidate] = []
-    drawn, share = 0, 0.0
+    drawn, share, is_same = 0, 0.0, config.sampling == 'same_frame'
     while drawn < config.iterations:
         check(drawn / config.iterations)
-        triplets = draw_triplets(pool, min(BATCH, config.iterations - drawn), rng,
-                                 same_frame=config.sampling == 'same_frame')  # fmt: skip
+        count = min(BATCHES[drawn > 0], config.iterations - drawn)
+        triplets = draw_triplets(pool, count, rng, same_frame=is_same)
         drawn += len(triplets)
         kept = _merge(kept, rank(coarse, *solve_triplets(pool, triplets)))
         if not len(kept.score):
