@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -51,14 +51,15 @@ class _Run:
     clock: Callable[[], float]
     started: float
     max_seconds: float
+    furthest: dict[str, float] = field(default_factory=dict)
 
     def check(self, stage: str) -> Callable[[float], None]:
         """Return what a stage calls with its fraction done."""
-        furthest = 0.0
 
         def tick(fraction: float) -> None:
-            nonlocal furthest
-            furthest = min(max(furthest, fraction), 1.0)  # a stage may walk over the data twice
+            # A stage may walk over the data twice, and be entered again without a moved camera.
+            furthest = min(max(self.furthest.get(stage, 0.0), fraction), 1.0)
+            self.furthest[stage] = furthest
             if self.progress is not None:
                 self.progress(stage, furthest)
             if self.should_stop is not None and self.should_stop():
