@@ -91,6 +91,35 @@ def test_the_default_calibrates_the_recorded_rig(balancing: Case) -> None:
     assert shift_m <= 0.03
 
 
+ACCUSED = 'by its frames below a threshold that this detector exceeds at the true pose'
+
+
+@pytest.mark.parametrize(
+    'config',
+    [
+        CalibrationConfig(),
+        pytest.param(
+            CalibrationConfig.thorough(),
+            marks=pytest.mark.xfail(strict=True, reason=f'cam2 is called lost in 16 %, {ACCUSED}'),
+        ),
+        pytest.param(
+            CalibrationConfig.paper(),
+            marks=pytest.mark.xfail(
+                strict=True, reason=f'cam0 is called lost in 100 %, {ACCUSED}'
+            ),
+        ),
+    ],
+    ids=['default', 'thorough', 'paper'],
+)
+def test_no_camera_of_the_recorded_rig_is_accused(
+    balancing: Case, config: CalibrationConfig
+) -> None:
+    """Nobody moved a camera there, and all of them follow the one person."""
+    found, *_ = solved(balancing, config)
+    assert found.disagreements == ()
+    assert found.warnings == ()
+
+
 @pytest.mark.parametrize('number', range(4))
 @pytest.mark.parametrize(
     ('config', 'bar_deg', 'bar_m'),
