@@ -99,27 +99,35 @@ class Session:
                 if name != stream:
                     other.store.start_epoch()
 
-    def set_intrinsics(self, camera: str, payload: bytes) -> None:
+    def set_intrinsics(self, camera: str, payload: bytes) -> str:
         """Take a serialised CameraInfo; intrinsics of the rig file go before it.
 
         A camera whose intrinsics change starts over: its old keypoints belong to another image.
+
+        Returns:
+            What changed and was dropped, '' = nothing.
 
         Raises:
             InputError: No CameraInfo, an uncalibrated camera, or no such camera.
 
         """
-        self._camera(camera).set_info(decode_camera_info(payload))
+        source = self._camera(camera)
+        return _started_over(source, source.set_info(decode_camera_info(payload)))
 
-    def set_extrinsics(self, camera: str, camera_T_world: RigidTransform) -> None:
+    def set_extrinsics(self, camera: str, camera_T_world: RigidTransform) -> str:
         """Take a camera's pose, as from TF; that of the rig file goes before it.
 
         A camera whose pose changes starts over.
+
+        Returns:
+            What changed and was dropped, '' = nothing.
 
         Raises:
             InputError: No such camera.
 
         """
-        self._camera(camera).set_pose(camera_T_world)
+        source = self._camera(camera)
+        return _started_over(source, source.set_pose(camera_T_world))
 
     def update_config(self, config: SessionConfig) -> None:
         """Change the settings, from the next message and the next snapshot on."""
@@ -273,6 +281,10 @@ class Session:
             f'keypoint message to a skeleton: {", ".join(apart)}. Synchronise the clocks, set '
             'time_offset, or use sync.use_receive_time'
         )
+
+
+def _started_over(camera: CameraInput, change: str) -> str:
+    return f'camera {camera.rig.name}: {change}; {camera.start_over()}' if change else ''
 
 
 def _apart_s(mocap_ns: IntArray, camera_ns: IntArray) -> float:

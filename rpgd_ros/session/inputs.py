@@ -11,13 +11,16 @@ from typing import Literal
 import numpy as np
 
 from rpgd_ros.core.camera import Camera
-from rpgd_ros.core.geometry import BoolArray, RigidTransform
+from rpgd_ros.core.geometry import BoolArray, RigidTransform, rotation_angle
 from rpgd_ros.io.rig import METRES_PER, MocapSource, RigCamera
 from rpgd_ros.messages import CameraInfo, decode_joints
 from rpgd_ros.pairing import BufferConfig, JointStream
 from rpgd_ros.session.snapshot import KeypointTrack
 
 MOTION_FRAMES = 200  # of which the way of the body is measured, spread over the recording
+# Poses of /tf that differ by less are one: 0.02 px at a focal length of 1200 px and 5 m.
+SAME_ROTATION = 1e-5  # rad
+SAME_POSITION_M = 1e-4
 
 
 class StreamInput:
@@ -181,23 +184,30 @@ class CameraInput(StreamInput):
         self.rig = replace(self.rig, time_offset_s=time_offset_s, min_confidence=min_confidence)
         self._min_confidence = min_confidence
 
-    def set_info(self, info: CameraInfo) -> None:
-        """Take intrinsics, unless the rig file gives them; others than before start it over."""
-        if self.rig.camera is not None or (self._info and _are_equal(self._info, info)):
-            return
-        camera = info.camera(self.rig.name, self._pose, is_rectified=self.rig.rectified)
-        if self._info is not None:
-            self.store.clear()
-        self._info, self.camera = info, camera
+    def set_info(self, info: CameraInfo) -> str:
+        """Take intrinsics, unless the rig file gives them; others than before start it over.
 
-    def set_pose(self, camera_T_world: RigidTransform) -> None:
-        """Take the pose, unless the rig file gives it; another than before starts it over."""
-        if self.rig.extrinsics is not None:
-            return
-        if self._pose is not None:
-            if np.array_equal(self._pose.matrix, camera_T_world.matrix):
-                return
-            self.store.clear()
+        Returns:
+            What changed, '' = nothing, or these are the first.
+
+        """
+        before = self._info
+        if self.rig.camera is not None or (before and _are_equal(before, info)):
+            return ''
+        camera = info.camera(self.rig.name, self._pose, is_rectified=self.rig.rectified)
+        self._info, self.camera = info, camera
+        return '' if before is None else f'its CameraInfo changed ({_changes(before, info)})'
+
+    def set_pose(self, camera_T_world: RigidTransform) -> str:
+        """Take the pose, unless the rig file gives it; another than before starts it over.
+
+        Returns:
+            What changed, '' = nothing, or this is the first.
+
+        """
+        before = self._pose
+        if self.rig.extrinsics is not None or (before and _are_near(before, camera_T_world)):
+            return ''
         self._pose = camera_T_world
         if self._info is not None:
             self.camera = self._info.camera(
@@ -205,6 +215,18 @@ class CameraInput(StreamInput):
             )
         elif self.camera is not None:
             self.camera = replace(self.camera, camera_T_world=camera_T_world)
+        if before is None:
+            return ''
+        moved = before.inverse() @ camera_T_world
+        angle_deg = np.degrees(rotation_angle(moved.rotation))
+        way_m = float(np.linalg.norm(moved.translation))
+        return f'its pose on TF moved by {way_m:.4f} m and {angle_deg:.3f} deg'
+
+    def start_over(self) -> str:
+        """Drop the keypoints that were seen by another camera than now; say how many."""
+        n_frames = len(self.store.stamps())
+        self.clear()
+        return f'its {n_frames} messages of keypoints from before are dropped'
 
     def lend(self, time_offset_s: float) -> KeypointTrack:
         """Return the keypoints for a snapshot."""
@@ -222,6 +244,33 @@ def _are_equal(a: CameraInfo, b: CameraInfo) -> bool:
     return (a.size, a.model, a.frame_id) == (b.size, b.model, b.frame_id) and all(
         np.array_equal(getattr(a, name), getattr(b, name))
         for name in ('matrix', 'distortion', 'rectified_matrix', 'rectification')
+    )
+
+
+def _changes(a: CameraInfo, b: CameraInfo) -> str:
+    """Say in what two messages differ."""
+    numbers = {
+        'fx': (a.matrix[0, 0], b.matrix[0, 0]),
+        'fy': (a.matrix[1, 1], b.matrix[1, 1]),
+        'cx': (a.matrix[0, 2], b.matrix[0, 2]),
+        'cy': (a.matrix[1, 2], b.matrix[1, 2]),
+    }
+    told = [
+        f'{name} {old:.6g} to {new:.6g} px' for name, (old, new) in numbers.items() if old != new
+    ]
+    if a.size != b.size:
+        told.append(f'size {a.size[0]} x {a.size[1]} to {b.size[0]} x {b.size[1]}')
+    if a.frame_id != b.frame_id:
+        told.append(f'frame {a.frame_id[:80]!r} to {b.frame_id[:80]!r}')
+    return ', '.join(told) or 'distortion or rectification'
+
+
+def _are_near(a: RigidTransform, b: RigidTransform) -> bool:
+    """Tell whether two poses are the same but for what each message computes anew."""
+    moved = a.inverse() @ b
+    return (
+        rotation_angle(moved.rotation) < SAME_ROTATION
+        and float(np.linalg.norm(moved.translation)) < SAME_POSITION_M
     )
 
 
