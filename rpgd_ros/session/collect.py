@@ -14,7 +14,7 @@ from rpgd_ros.core.geometry import IntArray, RigidTransform
 from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.io.rig import Rig
 from rpgd_ros.messages import decode_camera_info
-from rpgd_ros.pairing import PairCounts, match
+from rpgd_ros.pairing import PairCounts, SyncConfig, match
 from rpgd_ros.session.config import SessionConfig
 from rpgd_ros.session.inputs import CameraInput, MocapInput, StreamInput, describe
 from rpgd_ros.session.snapshot import Snapshot
@@ -179,6 +179,10 @@ class Session:
         """Return how far the body moved: diagonal of the box that holds its centre, metres."""
         return self._mocap.motion_m()
 
+    def parts(self) -> tuple[Rig, SyncConfig, MocapInput, Mapping[str, CameraInput]]:
+        """Return rig, pairing and the streams themselves, for a look at their newest messages."""
+        return self._rig, self._config.sync, self._mocap, self._cameras
+
     def snapshot(self) -> Snapshot:
         """Take what has been collected, for one solve. Quick: nothing is copied.
 
@@ -284,7 +288,8 @@ class Session:
 
 
 def _started_over(camera: CameraInput, change: str) -> str:
-    return f'camera {camera.rig.name}: {change}; {camera.start_over()}' if change else ''
+    dropped = camera.start_over() if change else ''
+    return f'camera {camera.rig.name}: {change}; {dropped}' if dropped else ''
 
 
 def _apart_s(mocap_ns: IntArray, camera_ns: IntArray) -> float:

@@ -14,7 +14,7 @@ from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import BoolArray, RigidTransform, rotation_angle
 from rpgd_ros.io.rig import METRES_PER, MocapSource, RigCamera
 from rpgd_ros.messages import CameraInfo, decode_joints
-from rpgd_ros.pairing import BufferConfig, JointStream
+from rpgd_ros.pairing import BufferConfig, JointStream, Samples
 from rpgd_ros.session.snapshot import KeypointTrack
 
 MOTION_FRAMES = 200  # of which the way of the body is measured, spread over the recording
@@ -223,15 +223,19 @@ class CameraInput(StreamInput):
         return f'its pose on TF moved by {way_m:.4f} m and {angle_deg:.3f} deg'
 
     def start_over(self) -> str:
-        """Drop the keypoints that were seen by another camera than now; say how many."""
+        """Drop the keypoints that were seen by another camera than now; say how many, if any."""
         n_frames = len(self.store.stamps())
         self.clear()
-        return f'its {n_frames} messages of keypoints from before are dropped'
+        return f'its {n_frames} messages of keypoints from before are dropped' if n_frames else ''
 
     def lend(self, time_offset_s: float) -> KeypointTrack:
         """Return the keypoints for a snapshot."""
+        return self.track(self.store.lend(), time_offset_s)
+
+    def track(self, samples: Samples, time_offset_s: float) -> KeypointTrack:
+        """Return some of the keypoints with all that is needed to read them."""
         return KeypointTrack(
-            samples=self.store.lend(),
+            samples=samples,
             columns=self._columns,
             units=self.rig.units,
             min_confidence=self.rig.min_confidence,
