@@ -69,21 +69,38 @@ def test_all_messages_come_by_topic_in_their_order(bag: MakeBag) -> None:
         assert got == expected
 
 
-def test_intrinsics_of_the_bag_are_the_first_of_each_camera(bag: MakeBag) -> None:
-    """They are read before the keypoints, wherever in the bag they stand."""
-    late = [camera_info(START_NS + 10**9), camera_info(START_NS + 2 * 10**9, 60.0)]
+def test_what_is_new_of_a_camera_stands_between_the_keypoints_of_before_and_after(
+    bag: MakeBag,
+) -> None:
+    """Repeated CameraInfos are passed over; another one parts the batches."""
+    messages = walk(30)
+    middle = messages[20].receive_ns
+    infos = [camera_info(START_NS), camera_info(START_NS + 5), camera_info(middle, 60.0)]
     wanting = rig('camera_info_topic: cam0/camera_info')
-    with open_recording(bag([*walk(), *late]), wanting) as recording:
-        infos = recording.camera_infos()
-        assert set(infos) == {'cam0'}
-        assert decode_camera_info(infos['cam0']).matrix[0, 0] == 50.0
-        assert sum(len(batch.payloads) for batch in recording.batches()) == 20
+    with open_recording(
+        bag(sorted([*messages, *infos], key=lambda m: m.receive_ns)), wanting
+    ) as recording:
+        batches = list(recording.batches(['cam0/camera_info']))
+    focal = [
+        decode_camera_info(b.payloads[0]).matrix[0, 0] if b.msgtype == CAMERA_INFO else None
+        for b in batches
+    ]
+    assert [f for f in focal if f] == [50.0, 60.0]
+    cut = focal.index(60.0)
+    before = [t for b, f in zip(batches[:cut], focal[:cut], strict=True) if not f for t in b[2]]
+    after = [t for b in batches[cut + 1 :] for t in b.receive_ns]
+    assert max(before) <= middle <= min(after)
+    assert len(before) + len(after) == len(messages)
 
 
-def test_intrinsics_of_the_rig_file_need_none_of_the_bag(bag: MakeBag) -> None:
-    """Precedence: rig file, then CameraInfo."""
-    with open_recording(bag([*walk(), camera_info(START_NS)]), rig()) as recording:
-        assert recording.camera_infos() == {}
+def test_facts_are_read_alone(bag: MakeBag) -> None:
+    """In their order; topics that the bag has not are no error."""
+    infos = [camera_info(START_NS + 10**9), camera_info(START_NS + 2 * 10**9, 60.0)]
+    wanting = rig('camera_info_topic: cam0/camera_info')
+    with open_recording(bag([*walk(), *infos]), wanting) as recording:
+        found = list(recording.facts(['cam0/camera_info', '/tf_static']))
+    assert [topic for topic, _ in found] == ['cam0/camera_info'] * 2
+    assert [decode_camera_info(p).matrix[0, 0] for _, p in found] == [50.0, 60.0]
 
 
 def test_a_silent_camera_is_a_warning_while_another_speaks(bag: MakeBag) -> None:

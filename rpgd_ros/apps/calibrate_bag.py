@@ -22,7 +22,7 @@ from rpgd_ros.io.recording import Recording, open_recording
 from rpgd_ros.io.result_file import write_result
 from rpgd_ros.io.rig import Rig, read_rig
 from rpgd_ros.pairing import BufferConfig
-from rpgd_ros.session import Session, SessionConfig, solve
+from rpgd_ros.session import Session, SessionConfig, replay, solve
 
 EXIT_ACCEPTED, EXIT_REFUSED, EXIT_BAD_INPUT, EXIT_PARTIAL, EXIT_BUG = 0, 1, 2, 3, 70
 
@@ -102,7 +102,9 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
         for warning in recording.warnings:
             _tell(err, f'warning: {warning}')
         session = Session(rig, _config(recording))
-        _read(recording, session, progress)
+        replay(
+            recording, session, progress=progress, tell=lambda said: _tell(err, f'warning: {said}')
+        )
         problem = recording.source.problem
     print_streams(out, session)
     if problem:
@@ -146,18 +148,6 @@ def _chosen(rig: Rig, names: Sequence[str]) -> Rig:
 def _config(recording: Recording) -> SessionConfig:
     n_frames = max(recording.n_messages, BufferConfig().max_frames)
     return SessionConfig(buffer=BufferConfig(max_frames=n_frames, max_age_s=WHOLE_RECORDING_S))
-
-
-def _read(recording: Recording, session: Session, progress: Callable[[str, float], None]) -> None:
-    """Feed a session with everything that its rig needs of a recording."""
-    for camera, payload in recording.camera_infos().items():
-        session.set_intrinsics(camera, payload)
-    streams = session.topics()
-    n_read, n_messages = 0, max(recording.n_messages, 1)
-    for batch in recording.batches():
-        session.add(streams[batch.topic], batch.msgtype, batch.payloads, batch.receive_ns)
-        n_read += len(batch.payloads)
-        progress('reading', n_read / n_messages)
 
 
 @contextmanager

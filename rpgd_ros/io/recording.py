@@ -13,6 +13,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.io.bag import TopicInfo, absolute_name, open_bag
 from rpgd_ros.io.rig import Rig, RigCamera
 from rpgd_ros.messages import CAMERA_INFO, JOINT_TYPES
+from rpgd_ros.messages.cdr import FRAME_OFFSET
 
 # Messages gathered before they are handed on by topic: batches of about 100 decode fastest, and
 # the order between topics is off by less than the jitter of a network.
@@ -110,36 +111,50 @@ class Recording:
         """Number of skeletons and keypoints."""
         return sum(self._count(topic) for topic in self.topics)
 
-    def camera_infos(self) -> dict[str, bytes]:
-        """Return the first CameraInfo of each camera whose intrinsics are not in the rig file."""
-        wanted = {
-            absolute_name(c.camera_info_topic): c.name
-            for c in self.rig.cameras
-            if c.camera is None and self._count(c.camera_info_topic)
-        }
-        found: dict[str, bytes] = {}
-        for topic, _, payload in self.source.stream(wanted) if wanted else ():
-            found.setdefault(wanted[topic], payload)
-            if len(found) == len(wanted):
-                break
-        return found
+    def facts(self, topics: Collection[str]) -> Iterator[tuple[str, bytes]]:
+        """Yield what some other topics of the rig say (CameraInfo, TF), in their order.
 
-    def batches(self) -> Iterator[MessageBatch]:
+        Args:
+            topics: As the rig file names them; those that there are not are left out.
+
+        Yields:
+            Topic and serialised message.
+
+        """
+        wanted = {absolute_name(topic): topic for topic in topics if self._count(topic)}
+        for topic, _, payload in self.source.stream(wanted) if wanted else ():
+            yield wanted[topic], payload
+
+    def batches(self, facts: Collection[str] = ()) -> Iterator[MessageBatch]:
         """Yield skeletons and keypoints, about in the order of the recording.
 
         Messages of one topic keep their order.
+
+        Args:
+            facts: Topics of CameraInfo or TF that are yielded with them. A message that says
+                something new stands between the joints of before and after.
 
         Raises:
             InputError: Nothing at all can be read.
 
         """
-        topics = self.topics
+        topics = {absolute_name(topic): topic for topic in facts if self._count(topic)}
+        last = dict.fromkeys(topics, b'')
+        topics |= self.topics
         pending: dict[str, MessageBatch] = {}
         n_pending = 0
         for topic, receive_ns, payload in self.source.stream(topics):
+            msgtype = self.source.topics[topic].msgtype
+            if topic in last:
+                if payload[FRAME_OFFSET:] == last[topic]:
+                    continue
+                last[topic] = payload[FRAME_OFFSET:]
+                yield from pending.values()
+                pending, n_pending = {}, 0
+                yield MessageBatch(topics[topic], msgtype, [receive_ns], [payload])
+                continue
             batch = pending.get(topic)
             if batch is None:
-                msgtype = self.source.topics[topic].msgtype
                 batch = pending[topic] = MessageBatch(topics[topic], msgtype, [], [])
             batch.receive_ns.append(receive_ns)
             batch.payloads.append(payload)

@@ -12,8 +12,10 @@ from rpgd_ros.messages.camera_info import (
 )
 from rpgd_ros.messages.cdr import MAX_FRAME_ID, MAX_MESSAGE_BYTES
 from rpgd_ros.messages.encode import MAX_JOINTS, encode_point_cloud2, encode_pose_array
+from rpgd_ros.messages.frames import FrameTree
 from rpgd_ros.messages.joints import Decoded, JointBatch, decode_joints
 from rpgd_ros.messages.layout import JOINT_TYPES, POINT_CLOUD2, POSE_ARRAY, Drop
+from rpgd_ros.messages.tf import TF_MESSAGE, Link, decode_tf, encode_tf
 
 __all__ = [
     'CAMERA_INFO',
@@ -23,13 +25,18 @@ __all__ = [
     'MAX_MESSAGE_BYTES',
     'POINT_CLOUD2',
     'POSE_ARRAY',
+    'TF_MESSAGE',
     'CameraInfo',
     'Decoded',
     'Drop',
+    'FrameTree',
     'JointBatch',
+    'Link',
     'decode_camera_info',
     'decode_joints',
+    'decode_tf',
     'encode_camera_info',
     'encode_point_cloud2',
     'encode_pose_array',
+    'encode_tf',
 ]

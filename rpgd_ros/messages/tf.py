@@ -51,16 +51,19 @@ def decode_tf(payload: bytes) -> tuple[Link, ...]:
 
     """
     try:
-        reader = CdrReader(payload)
-        n_transforms = reader.u32()
-        if n_transforms * LEAST_BYTES > len(payload):
-            msg = f'{n_transforms} transforms in {len(payload)} bytes'
-            raise CdrError(msg)
-        links = [_read_link(reader) for _ in range(n_transforms)]
+        links = _read_links(CdrReader(payload))
     except (CdrError, struct.error) as error:
         msg = f'not a {TF_MESSAGE}: {error}'
         raise InputError(Reason.BAD_MESSAGE, msg) from error
     return tuple(link for link in links if link is not None)
+
+
+def _read_links(reader: CdrReader) -> list[Link | None]:
+    n_transforms = reader.u32()
+    if n_transforms * LEAST_BYTES > len(reader.payload):
+        msg = f'{n_transforms} transforms in {len(reader.payload)} bytes'
+        raise CdrError(msg)
+    return [_read_link(reader) for _ in range(n_transforms)]
 
 
 def _read_link(reader: CdrReader) -> Link | None:

@@ -111,8 +111,7 @@ class Session:
             InputError: No CameraInfo, an uncalibrated camera, or no such camera.
 
         """
-        source = self._camera(camera)
-        return _started_over(source, source.set_info(decode_camera_info(payload)))
+        return self._camera(camera).set_info(decode_camera_info(payload))
 
     def set_extrinsics(self, camera: str, camera_T_world: RigidTransform) -> str:
         """Take a camera's pose, as from TF; that of the rig file goes before it.
@@ -126,8 +125,7 @@ class Session:
             InputError: No such camera.
 
         """
-        source = self._camera(camera)
-        return _started_over(source, source.set_pose(camera_T_world))
+        return self._camera(camera).set_pose(camera_T_world)
 
     def update_config(self, config: SessionConfig) -> None:
         """Change the settings, from the next message and the next snapshot on."""
@@ -285,11 +283,6 @@ class Session:
             f'keypoint message to a skeleton: {", ".join(apart)}. Synchronise the clocks, set '
             'time_offset, or use sync.use_receive_time'
         )
-
-
-def _started_over(camera: CameraInput, change: str) -> str:
-    dropped = camera.start_over() if change else ''
-    return f'camera {camera.rig.name}: {change}; {dropped}' if dropped else ''
 
 
 def _apart_s(mocap_ns: IntArray, camera_ns: IntArray) -> float:

@@ -188,7 +188,7 @@ class CameraInput(StreamInput):
         """Take intrinsics, unless the rig file gives them; others than before start it over.
 
         Returns:
-            What changed, '' = nothing, or these are the first.
+            What changed and was dropped, '' = nothing.
 
         """
         before = self._info
@@ -196,13 +196,15 @@ class CameraInput(StreamInput):
             return ''
         camera = info.camera(self.rig.name, self._pose, is_rectified=self.rig.rectified)
         self._info, self.camera = info, camera
-        return '' if before is None else f'its CameraInfo changed ({_changes(before, info)})'
+        if before is None:
+            return ''
+        return self._start_over(f'its CameraInfo changed ({_changes(before, info)})')
 
     def set_pose(self, camera_T_world: RigidTransform) -> str:
         """Take the pose, unless the rig file gives it; another than before starts it over.
 
         Returns:
-            What changed, '' = nothing, or this is the first.
+            What changed and was dropped, '' = nothing.
 
         """
         before = self._pose
@@ -220,13 +222,7 @@ class CameraInput(StreamInput):
         moved = before.inverse() @ camera_T_world
         angle_deg = np.degrees(rotation_angle(moved.rotation))
         way_m = float(np.linalg.norm(moved.translation))
-        return f'its pose on TF moved by {way_m:.4f} m and {angle_deg:.3f} deg'
-
-    def start_over(self) -> str:
-        """Drop the keypoints that were seen by another camera than now; say how many, if any."""
-        n_frames = len(self.store.stamps())
-        self.clear()
-        return f'its {n_frames} messages of keypoints from before are dropped' if n_frames else ''
+        return self._start_over(f'its pose on TF moved by {way_m:.4f} m and {angle_deg:.3f} deg')
 
     def lend(self, time_offset_s: float) -> KeypointTrack:
         """Return the keypoints for a snapshot."""
@@ -241,6 +237,13 @@ class CameraInput(StreamInput):
             min_confidence=self.rig.min_confidence,
             time_offset_s=time_offset_s,
         )
+
+    def _start_over(self, change: str) -> str:
+        """Drop the keypoints that were seen before a change; say how many, '' where none were."""
+        n_frames = len(self.store.stamps())
+        self.clear()
+        dropped = f'its {n_frames} messages of keypoints from before are dropped'
+        return f'camera {self.rig.name}: {change}; {dropped}' if n_frames else ''
 
 
 def _are_equal(a: CameraInfo, b: CameraInfo) -> bool:
