@@ -45,14 +45,7 @@ def test_any_numbers_anywhere_at_length(hits: list[tuple[bool, int, float]]) -> 
     'kind',
     [
         'uniform',
-        pytest.param(
-            'person',
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason='1 of 100 accepted: for 1.7 s somebody else walked so much alike that one '
-                'rigid motion takes one to the other, with 13 px of median error',
-            ),
-        ),
+        'person',
         'failure',
         'mixed',
         'swap',

@@ -91,24 +91,9 @@ def test_the_default_calibrates_the_recorded_rig(balancing: Case) -> None:
     assert shift_m <= 0.03
 
 
-ACCUSED = 'by its frames below a threshold that this detector exceeds at the true pose'
-
-
 @pytest.mark.parametrize(
     'config',
-    [
-        CalibrationConfig(),
-        pytest.param(
-            CalibrationConfig.thorough(),
-            marks=pytest.mark.xfail(strict=True, reason=f'cam2 is called lost in 16 %, {ACCUSED}'),
-        ),
-        pytest.param(
-            CalibrationConfig.paper(),
-            marks=pytest.mark.xfail(
-                strict=True, reason=f'cam0 is called lost in 100 %, {ACCUSED}'
-            ),
-        ),
-    ],
+    [CalibrationConfig(), CalibrationConfig.thorough(), CalibrationConfig.paper()],
     ids=['default', 'thorough', 'paper'],
 )
 def test_no_camera_of_the_recorded_rig_is_accused(

@@ -3,24 +3,29 @@
 
 from rpgd_ros.core.calibrate import calibrate
 from rpgd_ros.core.camera import Camera
+from rpgd_ros.core.camera_pose import CameraPose
 from rpgd_ros.core.config import CalibrationConfig
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason, RpgdError
 from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.core.observations import MocapTrack, Observations, View
 from rpgd_ros.core.result import Calibration, GroupFit
+from rpgd_ros.core.rig_solve import RigCalibration, calibrate_cameras
 
 __all__ = [
     'Calibration',
     'CalibrationConfig',
     'CalibrationError',
     'Camera',
+    'CameraPose',
     'GroupFit',
     'InputError',
     'MocapTrack',
     'Observations',
     'Reason',
+    'RigCalibration',
     'RigidTransform',
     'RpgdError',
     'View',
     'calibrate',
+    'calibrate_cameras',
 ]

@@ -192,7 +192,7 @@ def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight
         raise InputError(Reason.BAD_INPUT, msg)
     blind = [c.name for c in cameras if c.camera_T_world is None]
     if blind and len(cameras) > 1:
-        msg = f'no extrinsics for {", ".join(blind)}: each of several cameras needs camera_T_world'
+        msg = f'no extrinsics for {", ".join(blind)}: `calibrate_cameras` finds them'
         raise CalibrationError(Reason.NO_EXTRINSICS, msg)
     pairs = sorted(zip(cameras, observations.views, strict=True), key=lambda pair: pair[0].name)
     sights = [Sight(c, v) for c, v in pairs if v.n_frames and v.uv.shape[1]]

@@ -52,8 +52,8 @@ def covariances(
         out: Array = to_origin @ about_pivot @ to_origin.T
         return 0.5 * (out + out.T)
 
-    by_joint = inverse @ between_joints(seen.joint_scores) @ inverse
-    by_time = inverse @ spread_between(seen.time_scores) @ inverse
+    by_joint = inverse @ between_groups(seen.joint_scores) @ inverse
+    by_time = inverse @ between_groups(seen.time_scores) @ inverse
     whole = larger(variance * inverse, by_joint) if timed is None else _timed_covariance(timed)
     about_pivot = whole[:6, :6]
     if systematic is not None:
@@ -64,7 +64,7 @@ def covariances(
 def offset_sigmas(timed: TimedNormal) -> Array:
     """Return the standard deviation of each estimated offset, seconds."""
     inverse = invert(timed.hessian, timed.information)
-    by_time = inverse @ spread_between(timed.time_scores) @ inverse
+    by_time = inverse @ between_groups(timed.time_scores) @ inverse
     sigma: Array = np.sqrt(np.diag(larger(_timed_covariance(timed), by_time))[6:])
     return sigma
 
@@ -72,11 +72,11 @@ def offset_sigmas(timed: TimedNormal) -> Array:
 def _timed_covariance(timed: TimedNormal) -> Array:
     """Covariance of pose and offsets, as in `covariances`."""
     inverse = invert(timed.hessian, timed.information)
-    return larger(inverse, inverse @ between_joints(timed.joint_scores) @ inverse)
+    return larger(inverse, inverse @ between_groups(timed.joint_scores) @ inverse)
 
 
-def between_joints(scores: Array) -> Array:
-    """Spread between joints, widened because a covariance of few groups is small too often.
+def between_groups(scores: Array) -> Array:
+    """Spread between joints, or times, widened: a covariance of few groups is small too often.
 
     Of n groups its inverse is (n - 1) / (n - 5) times too large on the mean, for the three
     numbers of a rotation or a position.

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 # of the detector, and enough of them to estimate six numbers.
 TIME_BLOCKS = 12
 QUANTILE_SAMPLE = 100_000  # residuals that median and percentile are taken from: 0.3 % accurate
+# Beyond this many thresholds a keypoint is not of this person. A threshold that was given may lie
+# below the noise of a detector that follows the right one.
+LOST_FACTOR = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +38,7 @@ class Tally:
         bias_px: (V, J, 2) summed residual vectors of the inliers, pixels.
         frames: (V,) instants with an inlier.
         seen_frames: (V,) instants with a correspondence.
-        lost_frames: (V,) instants of which most correspondences are no inliers.
+        lost_frames: (V,) instants of which most correspondences are far from any inlier.
         sample_px: Residuals, evenly spread, for quantiles.
 
     """
@@ -123,8 +126,9 @@ def examine(
             pull = pull.reshape(6, -1, n_joints)
             of_joint += np.add.reduce(pull, 1).T
             of_time += per_block(np.add.reduce(pull, 2), block[frames])
-            near = res.in_view & (white.squared < threshold_px**2)
-            book.enter(v, res, near)
+            squared = white.squared
+            near = res.in_view & (squared < threshold_px**2)
+            book.enter(v, res, near, squared > (LOST_FACTOR * threshold_px) ** 2)
         to_twist = twist_from_delta(sight.camera_T_world, pivot_world)
         by_joint.append(of_joint @ to_twist)
         by_time.append(of_time @ to_twist)
@@ -159,8 +163,8 @@ class _Book:
         self._sample: list[Column] = []
         self._stride = stride
 
-    def enter(self, camera: int, res: Residuals, near: BoolArray) -> None:
-        """Add one chunk of whole frames, with its inliers."""
+    def enter(self, camera: int, res: Residuals, near: BoolArray, far: BoolArray) -> None:
+        """Add one chunk of whole frames, with its inliers and those far from being one."""
         r = np.sqrt(res.squared)
         kept = slice(None, None, self._stride)
         self._sample.append(r[kept][res.in_view[kept]])
@@ -168,11 +172,14 @@ class _Book:
         seen_at, near_at = res.in_view.reshape(frames), near.reshape(frames)
         self._counts[0, camera] += np.add.reduce(seen_at, 0, dtype=np.int64)
         self._counts[1, camera] += np.add.reduce(near_at, 0, dtype=np.int64)
-        n_seen, n_near = (np.add.reduce(m, 1, dtype=np.int64) for m in (seen_at, near_at))
+        far_at = (res.in_view & far).reshape(frames)
+        n_seen, n_near, n_far = (
+            np.add.reduce(m, 1, dtype=np.int64) for m in (seen_at, near_at, far_at)
+        )
         self._frames[:, camera] += [
             np.count_nonzero(n_near),
             np.count_nonzero(n_seen),
-            np.count_nonzero(2 * n_near < n_seen),
+            np.count_nonzero(2 * n_far > n_seen),
         ]
         columns = (r, r * near, res.du * near, res.dv * near)  # r is zero where not in view
         for k, column in enumerate(columns):

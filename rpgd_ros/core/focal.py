@@ -2,8 +2,10 @@
 """Whether the focal lengths that were given fit the film.
 
 A focal length that is 1 % wrong moves the transform by millimetres, and the residuals hardly show
-it. So it is freed for a moment, one factor for all cameras, beside the pose: where the film wants
-another one beyond doubt, that is said, and the covariance takes in how far the pose would move.
+it. So it is freed for a moment, one factor for all cameras, beside the pose, with the prior of a
+good calibration: where the film wants another one beyond doubt, that is said, and the covariance
+takes in how far the pose would move. A single camera that sees a body at one distance cannot tell
+the two apart: then it is the prior that speaks.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rpgd_ros.core.covariance import between_joints, invert, larger
+from rpgd_ros.core.covariance import between_groups, invert, larger
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.linearise import Sight, linearise
 from rpgd_ros.core.normal import twist_from_delta
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
 SIGMAS = 5.0  # beyond doubt; clean recordings reach 3.5 in a hundred
 LEAST_ERROR = 0.001  # of the focal length: better than a chessboard does
+PRIOR = 0.005  # a chessboard filmed in haste: standard deviation of its focal length
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,13 +37,21 @@ class FocalCheck:
     Attributes:
         error: Share by which they are too short (positive) or too long, all cameras alike.
         sigma: Its standard deviation.
-        pose_shift: (6,) how far the pose would move with the right ones, about the pivot.
+        pose_shift: (6,) how far the pose moves with the focal lengths, about the pivot, each by
+            as much of them.
 
     """
 
     error: float
     sigma: float
     pose_shift: Array
+
+    @property
+    def pose_error(self) -> Array:
+        """(6,) how far the pose may be off, about the pivot: film and prior together."""
+        kept = PRIOR**2 / (PRIOR**2 + self.sigma**2)
+        spread: Array = self.pose_shift * np.hypot(kept * self.error, np.sqrt(kept) * self.sigma)
+        return spread
 
     @property
     def is_wrong(self) -> bool:
@@ -95,5 +106,8 @@ def check_focal(
         scores += by_joint @ to_twist
     inverse = invert(hessian, information)
     step = -inverse @ scores.sum(0)
-    covariance = larger(inverse, inverse @ between_joints(scores) @ inverse)
-    return FocalCheck(float(step[6]), float(np.sqrt(covariance[6, 6])), step[:6])
+    covariance = larger(inverse, inverse @ between_groups(scores) @ inverse)
+    # With the focal lengths held, the rest of the parameters follows them.
+    return FocalCheck(
+        float(step[6]), float(np.sqrt(covariance[6, 6])), inverse[:6, 6] / inverse[6, 6]
+    )

@@ -56,9 +56,9 @@ def report(
         focal = check_focal(
             thin(sights, 0, budget(sights, FOCAL_POINTS)), descent.pose, centroid, loss
         )
+        systematic = focal.pose_error
         if focal.is_wrong:
             warnings.append(focal.sentence())
-            systematic = focal.pose_shift
     covariance, over_time = covariances(
         descent, centroid, variance=variance, timed=timed, systematic=systematic
     )

@@ -14,6 +14,7 @@ from rpgd_ros.core.geometry import Array, RigidTransform
 
 if TYPE_CHECKING:
     from rpgd_ros.core.agreement import Disagreement
+    from rpgd_ros.core.camera_pose import CameraPose
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,7 @@ class Calibration:
         per_joint: Fit by joint name, or number.
         time_offset_s: {camera: (offset, sigma)} where estimated, seconds.
         disagreements: Cameras that contradict the others, the worst first.
+        camera_poses: Extrinsics by camera, where they were found (`calibrate_cameras`).
         warnings: Sentences for people.
         config: The settings of the run.
         seconds: Duration of the run.
@@ -89,6 +91,7 @@ class Calibration:
     covariance_over_time: Array = field(default_factory=lambda: np.zeros((6, 6)))
     time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
+    camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
 
