@@ -283,18 +283,18 @@ def _polish_best(pool: Pool, kept: Ranked) -> list[Candidate]:
     starts: list[RigidTransform] = []
     for r, t in zip(ranked.rotation[:close], ranked.translation[:close], strict=True):
         pose = RigidTransform(nearest_rotation(r), t)
-        if len(starts) < POLISHED and not any(_is_same(pose, s, centroid) for s in starts):
+        if len(starts) < POLISHED and not any(is_same(pose, s, centroid) for s in starts):
             starts.append(pose)
     polished = [polish(pool, pose) for pose in starts]
     minima: list[Candidate] = []
     for c in sorted(polished, key=lambda one: (not one.is_sharp, one.cost)):
         poses = [m.world_T_mocap for m in minima]
-        if not any(_is_same(c.world_T_mocap, pose, centroid) for pose in poses):
+        if not any(is_same(c.world_T_mocap, pose, centroid) for pose in poses):
             minima.append(c)
     return minima
 
 
-def _is_same(a: RigidTransform, b: RigidTransform, centroid_mocap: Array) -> bool:
+def is_same(a: RigidTransform, b: RigidTransform, centroid_mocap: Array) -> bool:
     """Whether two poses are one minimum."""
     apart = float(np.linalg.norm(a @ centroid_mocap - b @ centroid_mocap))
     return apart < SAME_DISTANCE and rotation_angle(a.rotation.T @ b.rotation) < SAME_ANGLE
