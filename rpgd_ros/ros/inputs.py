@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions that find their type and QoS in the graph and hand on serialised messages.
+"""Subscriptions to joints that find type and QoS in the graph and hand on serialised messages.
 
 A callback only appends bytes to a list. `flush` hands them on in one go: the decoder takes a batch
 for little more than one message, so that the executor stays free for the middleware's queues.
@@ -25,7 +25,7 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from sensor_msgs.msg import CameraInfo, PointCloud2
+from sensor_msgs.msg import PointCloud2
 
 from rpgd_ros.messages import JOINT_TYPES, POINT_CLOUD2, POSE_ARRAY
 from rpgd_ros.ros.declare import is_given
@@ -72,6 +72,8 @@ class JointInput:
         stream: Name of the stream in the session.
         topic: As the rig file has it.
         n_received: Messages since start.
+        complaint: What else keeps the stream from being used, '' = nothing: shown with its health.
+        is_complaint_hopeless: Whether waiting does not help against that.
 
     """
 
@@ -109,6 +111,8 @@ class JointInput:
         self._receive_ns: list[int] = []
         self._pending_bytes = 0
         self.n_received = 0
+        self.complaint = ''
+        self.is_complaint_hopeless = False
         self._n_at_last_question = 0
         self._last_question_s = time.monotonic()
         self._last_message_s = float('nan')
@@ -155,8 +159,10 @@ class JointInput:
         problem = self._problem
         if not problem and age > STALE_SECONDS:
             problem = f'no message on {shown(self.topic)} for {age:.0f} s'
+        problem = '; '.join(filter(None, [problem, self.complaint]))
+        is_hopeless = self._is_hopeless or self.is_complaint_hopeless
         qos = self._reliability.name if self.is_subscribed else ''
-        return Health(problem, self._is_hopeless, self._msg_type, qos, self.n_received, rate, age)
+        return Health(problem, is_hopeless, self._msg_type, qos, self.n_received, rate, age)
 
     def _subscribe(self, msg_type: str, reliability: ReliabilityPolicy) -> None:
         self.flush()
@@ -222,47 +228,6 @@ class JointInput:
             f'set qos_overrides.{self._node.resolve_topic_name(self.topic)}.subscription'
         )
         self._node.get_logger().warning(self._incompatible, throttle_duration_sec=LOG_SECONDS)
-
-
-class InfoInput:
-    """The CameraInfo topic of one camera: the newest message counts, the others do not."""
-
-    def __init__(
-        self, node: Node, camera: str, topic: str, deliver: Callable[[str, bytes], None]
-    ) -> None:
-        """Subscribe.
-
-        Args:
-            node: The node.
-            camera: Camera of the rig file.
-            topic: Topic, relative names allowed.
-            deliver: Called by `flush` with the camera and the newest payload.
-
-        """
-        self.camera = camera
-        self._deliver = deliver
-        self._newest: bytes | None = None
-        node.create_subscription(
-            CameraInfo,
-            topic,
-            self._on_message,
-            QoSProfile(
-                depth=1,
-                reliability=ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.VOLATILE,
-            ),
-            callback_group=MutuallyExclusiveCallbackGroup(),
-            raw=True,
-        )
-
-    def flush(self) -> None:
-        """Hand on the newest message."""
-        if self._newest is not None:
-            payload, self._newest = self._newest, None
-            self._deliver(self.camera, payload)
-
-    def _on_message(self, payload: Any) -> None:
-        self._newest = payload
 
 
 def _fitting(publishers: Sequence[TopicEndpointInfo]) -> ReliabilityPolicy:

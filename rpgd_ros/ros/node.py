@@ -18,12 +18,12 @@ from rclpy.timer import Timer
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from rpgd_ros.core.errors import InputError
 from rpgd_ros.io.rig import Rig
 from rpgd_ros.ros import health
+from rpgd_ros.ros.camera_inputs import CameraInputs
 from rpgd_ros.ros.declare import LiveParameters, declare, given_values
 from rpgd_ros.ros.engine import Engine
-from rpgd_ros.ros.inputs import LOG_SECONDS, InfoInput, JointInput
+from rpgd_ros.ros.inputs import JointInput
 from rpgd_ros.ros.job import answer
 from rpgd_ros.ros.results import Results
 from rpgd_ros.ros.settings import NodeConfig
@@ -58,7 +58,10 @@ class CalibratorNode(Node):
         self._engine = Engine(self, session, results, flush=self._flush)
         if config.node.load_on_start:
             results.load_at_start()
-        self._joints, self._infos = self._open_inputs(rig)
+        self._joints = self._open_joints(rig)
+        self._cameras = CameraInputs(
+            self, session, rig, self._joints, with_tf=config.node.tf_mode == 'static'
+        )
         self._status = self.create_publisher(String, '~/status', LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._open_services()
@@ -78,15 +81,12 @@ class CalibratorNode(Node):
         """Wait for a file that is being written."""
         self._engine.join()
 
-    def _open_inputs(self, rig: Rig) -> tuple[list[JointInput], list[InfoInput]]:
+    def _open_joints(self, rig: Rig) -> list[JointInput]:
         take = self._engine.guarded(self._on_joints)
         joints = [JointInput(self, MOCAP, rig.mocap.topic, rig.mocap.type, take)]
-        joints += [JointInput(self, c.name, c.keypoints_topic, c.type, take) for c in rig.cameras]
-        infos = [
-            InfoInput(self, camera, topic, self._engine.guarded(self._on_info))
-            for topic, camera in self._engine.session.camera_info_topics().items()
+        return joints + [
+            JointInput(self, c.name, c.keypoints_topic, c.type, take) for c in rig.cameras
         ]
-        return joints, infos
 
     def _open_services(self) -> None:
         # Reentrant, for a second caller to hear 'busy' at once instead of waiting its turn.
@@ -129,11 +129,11 @@ class CalibratorNode(Node):
     def _on_poll(self) -> None:
         for joints in self._joints:
             joints.poll()
+        self._cameras.poll()
         self._flush()
 
     def _flush(self) -> None:
-        for info in self._infos:
-            info.flush()
+        self._cameras.flush()
         for joints in self._joints:
             joints.flush()
 
@@ -142,12 +142,6 @@ class CalibratorNode(Node):
     ) -> None:
         if self._is_enabled:
             self._engine.session.add(stream, msg_type, payloads, receive_ns)
-
-    def _on_info(self, camera: str, payload: bytes) -> None:
-        try:
-            self._engine.session.set_intrinsics(camera, payload)
-        except InputError as error:
-            Node.get_logger(self).warning(error.message, throttle_duration_sec=LOG_SECONDS)
 
     async def _on_auto(self) -> None:
         n_received = sum(joints.n_received for joints in self._joints)

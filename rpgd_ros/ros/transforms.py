@@ -120,12 +120,19 @@ class TransformOutput:
         self._error.publish(Float64(data=float(error_px)))
 
     def _open_tf(self, node: Node) -> None:
-        try:
-            self._tf_message = importlib.import_module('tf2_msgs.msg').TFMessage
-        except ImportError:
+        self._tf_message = tf_message_class()
+        if self._tf_message is None:
             node.get_logger().warning(
                 'tf2_msgs is not installed: /tf_static is not published, ~/transform is. '
                 'Install ros-jazzy-tf2-msgs, or set tf_mode to none to silence this.'
             )
             return
         self._tf = node.create_publisher(self._tf_message, '/tf_static', LATCHED)
+
+
+def tf_message_class() -> Any:
+    """Return the class of tf2_msgs/TFMessage, or None where it is not installed."""
+    try:
+        return importlib.import_module('tf2_msgs.msg').TFMessage
+    except ImportError:
+        return None

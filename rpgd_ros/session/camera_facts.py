@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 from rpgd_ros.core.errors import InputError
 from rpgd_ros.io.rig import Rig
@@ -17,7 +17,7 @@ TF_STATIC, TF = '/tf_static', '/tf'
 class CameraFacts:
     """Hands what is new to the session; live topics and bags go the same way.
 
-    Every method that takes messages returns sentences for the log: what changed, what was dropped
+    Each method that takes messages returns sentences for the log: what changed, what was dropped
     for it, what cannot be used. A sentence is told once.
     """
 
@@ -46,9 +46,9 @@ class CameraFacts:
         return self._topics
 
     @property
-    def needs_tf(self) -> bool:
-        """Whether the pose of some camera is to come from TF."""
-        return bool(self._frames)
+    def from_tf(self) -> Collection[str]:
+        """The cameras whose pose is to come from TF."""
+        return self._frames.keys()
 
     @property
     def needs_moving_tf(self) -> bool:
@@ -80,7 +80,7 @@ class CameraFacts:
         self._with_info.add(camera)
         return [change] if change else []
 
-    def take_tf(self, payloads: Iterable[bytes], *, is_static: bool) -> list[str]:
+    def take_tf(self, payloads: Sequence[bytes], *, is_static: bool) -> list[str]:
         """Take serialised TFMessages of /tf_static or /tf."""
         told = []
         for payload in payloads:
@@ -90,7 +90,7 @@ class CameraFacts:
                 if not self._has_bad_tf:
                     told.append(error.message)
                 self._has_bad_tf = True
-        for camera, frame in self._frames.items():
+        for camera, frame in self._frames.items() if payloads else ():
             path = self._tree.path(self._world_frame, frame)
             if path is not None:
                 change = self._session.set_extrinsics(camera, path.pose.inverse())

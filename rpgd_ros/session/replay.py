@@ -55,7 +55,7 @@ def _look_ahead(
             _take(facts, topic, [payload], tell)
             if _is_known(facts, topics):
                 break
-    if not facts.needs_tf:
+    if not facts.from_tf:
         return infos
     return (*infos, TF_STATIC, TF) if facts.needs_moving_tf else (*infos, TF_STATIC)
 
