@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-oldest test-versions lint bench clean
+.PHONY: help setup demo test test-oldest test-versions faults faults-long lint bench clean
 
 VENV ?= .venv
 VENV_OLDEST ?= .venv-oldest
@@ -15,7 +15,7 @@ ARGS ?=
 # The tests and the demo talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 # Messages check what is put in them: without it a wrong type is sent as another number.
-test: export ROS_PYTHON_CHECK_FIELDS := 1
+test faults faults-long: export ROS_PYTHON_CHECK_FIELDS := 1
 
 # The venv brings its own ROS. A sourced one, or the guard that a program of another venv left in
 # the environment, would mix the libraries of two.
@@ -31,6 +31,7 @@ rpgd_ros: align a motion-capture system with cameras from a walking person
 
   make demo    simulate a studio recording, play it to the live node, print its error
   make test    run the tests             make test ARGS='test/test_layers.py -k edge'
+  make faults  all faults and threats with their figures (25 min); make faults-long: an hour more
   make lint    check style and types     (ruff, mypy)
   make bench   measure accuracy and speed
   make clean   remove the virtual environments and everything built
@@ -73,6 +74,13 @@ test-versions: $(VENV)/.ready $(VENV_OLDEST)/.ready
 	@answers=$$(mktemp); trap 'rm -f "$$answers"' EXIT
 	@$(VENV)/bin/python test/converged.py >"$$answers"
 	@$(VENV_OLDEST)/bin/python test/converged.py "$$answers"
+
+# What the package has to survive, each with its figure; ARGS='12 S5' for some of it.
+faults: $(VENV)/.ready
+	@$(VENV)/bin/python test/faults.py $(ARGS)
+
+faults-long: $(VENV)/.ready
+	@$(VENV)/bin/python test/faults.py --long $(ARGS)
 
 lint: $(VENV)/.ready
 	@$(VENV)/bin/ruff check .

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from fault_report import measured
 from hypothesis import settings
 
 # Before any test imports rclpy or a message: talk to this machine only, and check the fields.
@@ -21,6 +22,8 @@ settings.load_profile('repeatable')
 
 # Offline tests run where ROS was never installed.
 collect_ignore_glob = [] if find_spec('rclpy') else ['test_ros_*.py']
+
+__all__ = ['measured', 'recording']
 
 RECORDINGS = Path(
     os.environ.get('RPGD_ROS_RECORDINGS', Path(__file__).parents[2] / 'shared' / 'data')

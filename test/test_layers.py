@@ -49,16 +49,18 @@ ROS_MODULES = frozenset({
 })  # fmt: skip
 # The rooms that a dependency may enter; numpy may enter all, and what is not here none.
 DEPENDENCIES = {
+    'backports': frozenset({'io'}),  # zstd, as rosbags brings it
     'cdflib': frozenset({'datasets', 'simulation'}),
     'cv2': frozenset({'core', 'simulation', 'report', 'datasets', 'apps'}),
     'ezc3d': frozenset({'importing'}),
     'distributed': frozenset({'apps'}),
+    'lz4': frozenset({'io'}),  # likewise
     'matplotlib': frozenset({'report'}),
     'poselib': frozenset({'apps'}),
     'rich': frozenset({'apps'}),
     'rosbags': frozenset({'messages', 'io'}),
     'scipy': frozenset({'apps', 'datasets', 'simulation'}),
-    'yaml': frozenset({'io', 'datasets', 'simulation', 'ros', 'apps'}),
+    'yaml': frozenset({'io', 'datasets', 'simulation', 'report', 'ros', 'apps'}),
     'launch': frozenset({'launch'}),
     'launch_ros': frozenset({'launch'}),
     **dict.fromkeys(ROS_MODULES, frozenset({'ros'})),
@@ -253,7 +255,7 @@ def test_every_dependency_is_declared_for_rosdep() -> None:
     keys |= {name: f'python3-{name}' for name in ('matplotlib', 'numpy', 'rich', 'yaml')}
     # Of datasets, cluster, import and benchmark.
     optional = {'cdflib', 'distributed', 'ezc3d', 'poselib', 'scipy'}
-    without_key = {PACKAGE, 'rosbags', *optional, *sys.stdlib_module_names}
+    without_key = {PACKAGE, 'rosbags', 'backports', 'lz4', *optional, *sys.stdlib_module_names}
     tops = {name.split('.')[0] for module in package_modules() for _, name in imports(module)}
     used = {keys.get(top, top) for top in tops - without_key}
     declared = re.findall('<exec_depend>(.*)</exec_depend>', (ROOT / 'package.xml').read_text())

@@ -9,10 +9,9 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import NamedTuple, Self
 
-from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
-
 from rpgd_ros.core.errors import InputError
 from rpgd_ros.io.bag_writer import BagWriter
+from rpgd_ros.io.budget import unpack_message
 from rpgd_ros.io.storage import StorageReader, Storages, open_storages
 from rpgd_ros.io.translation import Translation
 from rpgd_ros.messages import MAX_MESSAGE_BYTES
@@ -118,9 +117,10 @@ class Bag:
                 message = payload
                 if payload.startswith(ZSTD_MAGIC):
                     # Compressed message by message, as only metadata.yaml says.
-                    message = DECOMPRESSORS['zstd'](payload, MAX_MESSAGE_BYTES)
+                    message = unpack_message(payload, MAX_MESSAGE_BYTES + 1)
                 self.n_read += 1
-                yield connection.topic, receive_ns, message
+                # The decoder counts what is longer than a message may be, and needs no more of it.
+                yield connection.topic, receive_ns, message[: MAX_MESSAGE_BYTES + 1]
 
     def close(self) -> None:
         """Close all files."""

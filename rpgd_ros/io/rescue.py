@@ -19,11 +19,15 @@ from zlib import crc32
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
 from rpgd_ros.core.errors import InputError
+from rpgd_ros.io.budget import (
+    MAX_UNPACKED_BYTES,
+    check_tables,
+    limit_lengths,
+)
 from rpgd_ros.io.translation import Translation
 
 MCAP_MAGIC: Final = b'\x89MCAP0\r\n'
 SCHEMA, CHANNEL, MESSAGE, CHUNK, FOOTER = 0x03, 0x04, 0x05, 0x06, 0x02
-MAX_RECORD_BYTES: Final = 64 * 1024 * 1024  # a recorder's chunk has 1 to 4 MiB
 MESSAGE_HEAD: Final = struct.Struct('<HIQQ')  # channel, sequence, arrival, publication
 
 
@@ -85,6 +89,8 @@ def _sqlite3_messages(path: Path) -> Iterator[_Found]:
         try:
             # Not to write, but because sqlite3 then bears with a file that is too short.
             database.execute('PRAGMA writable_schema = ON')
+            limit_lengths(database)
+            check_tables(database, path)
             (n_distrusted,) = database.execute('PRAGMA page_size').fetchone()
             n_held = 0
             for found in _rows(database):
@@ -138,7 +144,7 @@ def _mcap_messages(path: Path) -> Iterator[_Found]:
 def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
     while len(head := file.read(9)) == 9:
         code, size = struct.unpack('<BQ', head)
-        if size > MAX_RECORD_BYTES:
+        if size > MAX_UNPACKED_BYTES:
             return
         body = file.read(size)
         if len(body) < size:
@@ -154,7 +160,7 @@ def _unpacked(chunk: bytes, path: Path) -> bytes:
             name = chunk[32 : 32 + n_name].decode()
             (n_packed,) = struct.unpack_from('<Q', chunk, 32 + n_name)
             packed = chunk[40 + n_name : 40 + n_name + n_packed]
-            raw = DECOMPRESSORS[name](packed, size) if size <= MAX_RECORD_BYTES else b''
+            raw = DECOMPRESSORS[name](packed, size) if size <= MAX_UNPACKED_BYTES else b''
     except InputError:
         return b''
     return raw if len(raw) == size and checksum in {0, crc32(raw)} else b''

@@ -6,12 +6,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from pathlib import Path
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Protocol
 
 from rosbags.rosbag2 import Reader
 
 from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.io.budget import bound_rosbags, check_database, limit_reader, unpack_file
 from rpgd_ros.io.rescue import Rescue
 from rpgd_ros.io.strict import MAX_BYTES, read_yaml
 from rpgd_ros.io.translation import Translation, bad_bag
@@ -58,10 +60,14 @@ def open_storages(path: Path, stack: ExitStack) -> Storages:
         raise bad_bag(path, 'there is no such file or folder')
     if path.suffix == '.bag' and path.is_file():
         raise bad_bag(path, 'a ROS 1 bag; convert it with rosbags-convert')
+    bound_rosbags()
     if not path.is_dir():
         return _open_files([path], stack, problems=[])
     try:
-        _check_metadata(path)
+        information = _metadata(path)
+        if str(information.get('compression_mode')).lower() == 'file':
+            files = _unpacked(path, information, stack)
+            return _open_files(files, stack, problems=[])._replace(claimed=_claimed(path))
         return Storages([_open_reader(path, stack)])
     except InputError as error:
         files = [p for p in path.iterdir() if p.suffix in STORAGE_SUFFIXES and p.is_file()]
@@ -87,11 +93,29 @@ def _open_files(files: Sequence[Path], stack: ExitStack, problems: list[str]) ->
 
 def _open_reader(path: Path, stack: ExitStack) -> Reader:
     with Translation(path):
+        for database in [path] if path.is_file() else path.glob('*.db3'):
+            if database.suffix == '.db3':
+                check_database(database)
         reader = stack.enter_context(Reader(path))
+        limit_reader(reader.storage)
+        # Not by rosbags, which knows no limit: the stream recognises what is compressed.
+        reader.storage.metadata = reader.storage.metadata._replace(compression_mode=None)
         formats = {getattr(c.ext, 'serialization_format', '') for c in reader.connections}
         if formats - {'cdr'}:
             raise bad_bag(path, f'messages are serialised as {sorted(formats)}, need cdr')
         return reader
+
+
+def _unpacked(path: Path, information: Mapping[str, Any], stack: ExitStack) -> list[Path]:
+    """Decompress the files of a recording into a folder that the stack removes."""
+    folder = Path(stack.enter_context(TemporaryDirectory(prefix='rpgd_ros_')))
+    files = []
+    with Translation(path):
+        for i, name in enumerate(information['relative_file_paths']):
+            packed = path / PurePath(name).name
+            files.append(folder / f'{i}_{packed.stem}')
+            unpack_file(packed, files[-1])
+    return files
 
 
 def _rescue(file: Path) -> Rescue | None:
@@ -104,20 +128,25 @@ def _rescue(file: Path) -> Rescue | None:
     return rescue if rescue.connections else None
 
 
-def _check_metadata(path: Path) -> None:
+def _metadata(path: Path) -> Mapping[str, Any]:
+    """Read metadata.yaml with our strict reader, before rosbags does with its own."""
     metadata = path / 'metadata.yaml'
     if not metadata.is_file():
         raise bad_bag(path, 'metadata.yaml is missing, so the recorder did not finish')
-    if metadata.stat().st_size > MAX_BYTES:
-        raise bad_bag(path, f'metadata.yaml has more than {MAX_BYTES} bytes')
+    with Translation(path):
+        # The QoS of each publisher stands in one text: with twenty of them it is long.
+        tree = read_yaml(metadata, Reason.BAD_BAG, max_scalar=MAX_BYTES).value
+        information = tree['rosbag2_bagfile_information']
+        if not isinstance(information, Mapping):
+            raise bad_bag(path, 'metadata.yaml is none of a recorder')
+        return information
 
 
 def _claimed(path: Path) -> dict[str, int]:
     """Return the messages of each topic as metadata.yaml counts them; empty where it does not."""
     try:
         with Translation(path):
-            information = read_yaml(path / 'metadata.yaml', Reason.BAD_BAG).value
-            topics = information['rosbag2_bagfile_information']['topics_with_message_count']
+            topics = _metadata(path)['topics_with_message_count']
             return {str(t['topic_metadata']['name']): int(t['message_count']) for t in topics}
     except InputError:
         return {}

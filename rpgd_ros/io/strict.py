@@ -160,8 +160,13 @@ class Node:
         return Node(value, self.source, self.reason, f'{self.path}{step}'.removeprefix('.'))
 
 
-def read_yaml(path: Path | str, reason: Reason) -> Node:
+def read_yaml(path: Path | str, reason: Reason, *, max_scalar: int = MAX_SCALAR) -> Node:
     """Read a YAML file.
+
+    Args:
+        path: The file.
+        reason: Code of the errors.
+        max_scalar: Longest text in it.
 
     Raises:
         InputError: `reason`. Not to be read, larger than 1 MiB, not UTF-8, or as `parse_yaml`.
@@ -177,10 +182,10 @@ def read_yaml(path: Path | str, reason: Reason) -> Node:
     except UnicodeDecodeError as error:
         msg = f'{path} is not UTF-8 text (byte {error.start})'
         raise InputError(reason, msg) from error
-    return parse_yaml(text, str(path), reason)
+    return parse_yaml(text, str(path), reason, max_scalar=max_scalar)
 
 
-def parse_yaml(text: str, source: str, reason: Reason) -> Node:
+def parse_yaml(text: str, source: str, reason: Reason, *, max_scalar: int = MAX_SCALAR) -> Node:
     """Parse YAML text without running into its traps.
 
     Raises:
@@ -191,7 +196,7 @@ def parse_yaml(text: str, source: str, reason: Reason) -> Node:
         msg = f'{source}: more than {MAX_BYTES} bytes'
         raise InputError(reason, msg)
     try:
-        _check_events(text, lambda message: InputError(reason, f'{source}: {message}'))
+        _check_events(text, lambda what: InputError(reason, f'{source}: {what}'), max_scalar)
         value = yaml.load(text, _Loader)  # noqa: S506 (derived from the safe loader)
     except yaml.YAMLError as error:
         msg = f'{source} is not YAML: {_one_line(error)}'
@@ -205,7 +210,7 @@ def parse_yaml(text: str, source: str, reason: Reason) -> Node:
     return Node(value, source, reason)
 
 
-def _check_events(text: str, refusal: Callable[[str], InputError]) -> None:
+def _check_events(text: str, refusal: Callable[[str], InputError], max_scalar: int) -> None:
     """Refuse what grows or nests without bound before anything is built from it."""
     depth = 0
     for n, event in enumerate(yaml.parse(text, _Loader)):
@@ -215,7 +220,7 @@ def _check_events(text: str, refusal: Callable[[str], InputError]) -> None:
             raise refusal(msg)
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
-        is_long = isinstance(event, yaml.ScalarEvent) and len(event.value) > MAX_SCALAR
+        is_long = isinstance(event, yaml.ScalarEvent) and len(event.value) > max_scalar
         if depth > MAX_DEPTH or n > MAX_EVENTS or is_long:
             msg = f'line {line}: nested too deeply, or too large'
             raise refusal(msg)
