@@ -171,6 +171,8 @@ def _pass_gates(solved: _Solved, run: _Run) -> None:
         refuse(calibration, config.accept, motion_m(sights))
         refuse_ambiguous(rival_ratio)
     except CalibrationError as refusal:
+        if refusal.reason is Reason.UNCERTAIN:
+            refuse_ambiguous(rival_ratio)  # the better name: a sigma is that of one of the minima
         check = run.check('diagnosis')
         if refusal.reason in MAY_BE_MIRRORED and is_mirrored(sights, config.ransac, check=check):
             raise CalibrationError(

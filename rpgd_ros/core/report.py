@@ -13,7 +13,7 @@ from rpgd_ros.core.covariance import covariances
 from rpgd_ros.core.focal import check_focal
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss
+from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, noise_at
 from rpgd_ros.core.quality import fits
 from rpgd_ros.core.refine import Descent
 from rpgd_ros.core.result import Calibration
@@ -51,16 +51,12 @@ def report(
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
         variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
     timed = clocks.equations(descent.pose, centroid, loss)
-    warnings, systematic = list(clocks.warnings), None
-    if isinstance(loss, NoiseModel):
-        focal = check_focal(
-            thin(sights, 0, budget(sights, FOCAL_POINTS)), descent.pose, centroid, loss
-        )
-        systematic = focal.pose_error
-        if focal.is_wrong:
-            warnings.append(focal.sentence())
+    few = thin(sights, 0, budget(sights, FOCAL_POINTS))
+    noise = loss if isinstance(loss, NoiseModel) else noise_at(few, descent.pose)
+    focal = check_focal(few, descent.pose, centroid, noise)
+    warnings = [*clocks.warnings, *([focal.sentence()] if focal.is_wrong else [])]
     covariance, over_time = covariances(
-        descent, centroid, variance=variance, timed=timed, systematic=systematic
+        descent, centroid, variance=variance, timed=timed, systematic=focal.pose_error
     )
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     contradicting = disagreements(sights, descent, centroid)
