@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Any message type of whole skeletons or keypoints to a batch of joints."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from rpgd_ros.core.geometry import Array
+from rpgd_ros.core.observations import LARGEST_COORDINATE
+from rpgd_ros.messages.adapters import types
+from rpgd_ros.messages.adapters.cursor import Cursor
+from rpgd_ros.messages.adapters.detectors import (
+    Dimensions,
+    Reader,
+    read_detections,
+    read_marker_array,
+    read_objects,
+    read_openpose_list,
+    read_skeleton_2d,
+)
+from rpgd_ros.messages.adapters.mocap import (
+    read_link_states,
+    read_markers,
+    read_named_poses,
+    read_rigid_bodies,
+)
+from rpgd_ros.messages.adapters.people import Asked, People, Person
+from rpgd_ros.messages.cdr import MAX_MESSAGE_BYTES, CdrError
+from rpgd_ros.messages.joints import Decoded, JointBatch, decode_joints
+from rpgd_ros.messages.layout import JOINT_TYPES, Drop, DropError
+
+NO_HEADER: Final = 'no_header'  # counted: messages stamped with their arrival
+
+
+class _Adapter(NamedTuple):
+    """How a type is read, and what it can give."""
+
+    read: Reader
+    dimensions: Dimensions
+
+
+_3D: Final[Dimensions] = frozenset({3})
+_2D: Final[Dimensions] = frozenset({2})
+ADAPTERS: Final[Mapping[str, _Adapter]] = MappingProxyType({
+    types.MARKERS: _Adapter(read_markers, _3D),
+    types.RIGID_BODIES: _Adapter(read_rigid_bodies, _3D),
+    types.NAMED_POSE_ARRAY: _Adapter(read_named_poses, _3D),
+    types.LINK_STATE_ARRAY: _Adapter(read_link_states, _3D),
+    types.LINK_STATE_ARRAY_OLD: _Adapter(read_link_states, _3D),
+    types.MARKER_ARRAY: _Adapter(read_marker_array, _3D),
+    types.OBJECTS: _Adapter(read_objects, _2D | _3D),
+    types.OBJECTS_OLD: _Adapter(read_objects, _2D | _3D),
+    types.SKELETON_2D: _Adapter(read_skeleton_2d, _2D),
+    types.DETECTIONS: _Adapter(read_detections, _2D),
+    types.DETECTIONS_OLD: _Adapter(read_detections, _2D),
+    types.OPENPOSE_LIST: _Adapter(read_openpose_list, _2D),
+})  # fmt: skip
+
+
+def decode_people(msgtype: str, payload: bytes, asked: Asked) -> People:
+    """Decode one message of a driver.
+
+    Args:
+        msgtype: Any type of `ADAPTERS`.
+        payload: As on the wire.
+        asked: Joints and their dimension.
+
+    Raises:
+        DropError: The message cannot be used.
+
+    """
+    adapter = ADAPTERS.get(msgtype)
+    if adapter is None or asked.n_values not in adapter.dimensions:
+        raise DropError(Drop.WRONG_TYPE)
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise DropError(Drop.OVERSIZED)
+    try:
+        return adapter.read(Cursor(payload), asked)
+    except (CdrError, struct.error) as error:
+        raise DropError(Drop.MALFORMED) from error
+
+
+def decode(
+    msgtype: str,
+    payloads: Sequence[bytes],
+    *,
+    joints: Sequence[str],
+    n_values: Literal[2, 3],
+    receive_ns: Sequence[int],
+    zero_is_missing: bool = True,
+    frame_id: str | None = None,
+    needs_stamp: bool = True,
+) -> Decoded:
+    """Decode serialised messages of one stream, whatever their type.
+
+    Args:
+        msgtype: Any of `SKELETON_TYPES` or `KEYPOINT_TYPES` but those of parts; anything else is
+            dropped as `wrong_type`.
+        payloads: Messages as on the wire.
+        joints: (J,) what the messages call the joints; types without names go by the order.
+        n_values: 3 for a skeleton, 2 for keypoints.
+        receive_ns: When each arrived: the stamp of a type that has no header.
+        zero_is_missing: Whether a joint at exactly zero is missing.
+        frame_id: Frame that the messages must be in; None = that of the first usable one.
+        needs_stamp: Whether a zero stamp makes a message useless.
+
+    Returns:
+        The usable messages, and the number of the others by reason. Nothing in the bytes raises.
+
+    """
+    if msgtype in JOINT_TYPES:
+        return decode_joints(
+            msgtype,
+            payloads,
+            n_joints=len(joints),
+            n_values=n_values,
+            zero_is_missing=zero_is_missing,
+            frame_id=frame_id,
+            needs_stamp=needs_stamp,
+        )
+    asked = Asked(tuple(joints), n_values)
+    dropped: dict[str, int] = {}
+    index: list[int] = []
+    stamps: list[int] = []
+    persons: list[Person] = []
+    n_headless = 0
+    for i, payload in enumerate(payloads):
+        try:
+            people = decode_people(msgtype, payload, asked)
+            _check(people, frame_id, needs_stamp=needs_stamp)
+        except DropError as error:
+            dropped[error.drop] = dropped.get(error.drop, 0) + 1
+            continue
+        frame_id = people.frame_id
+        n_headless += not people.has_header
+        index.append(i)
+        stamps.append(people.stamp_ns if people.has_header else int(receive_ns[i]))
+        persons.append(people.persons[0])
+    missing = {NO_HEADER: n_headless} if n_headless else {}
+    if not persons:
+        return Decoded(None, dropped, missing)
+    values = np.stack([person.values for person in persons])
+    _clear_missing(values, zero_is_missing=zero_is_missing, missing=missing)
+    batch = JointBatch(
+        np.array(index), np.array(stamps), frame_id or '', values, _confidence(persons)
+    )
+    return Decoded(batch, dropped, missing)
+
+
+def _check(people: People, frame_id: str | None, *, needs_stamp: bool) -> None:
+    if len(people.persons) > 1:
+        raise DropError(Drop.SEVERAL_PERSONS)
+    if needs_stamp and people.has_header and not people.stamp_ns:
+        raise DropError(Drop.ZERO_STAMP)
+    if frame_id is not None and people.frame_id != frame_id:
+        raise DropError(Drop.FRAME_CHANGED)
+
+
+def _confidence(persons: Sequence[Person]) -> Array | None:
+    if persons[0].confidence is None:
+        return None
+    return np.stack([person.confidence for person in persons if person.confidence is not None])
+
+
+def _clear_missing(values: Array, *, zero_is_missing: bool, missing: dict[str, int]) -> None:
+    """Make joints missing as a whole that are absent, damaged or zero; count them.
+
+    Args:
+        values: (B, J, C), changed in place.
+        zero_is_missing: Whether zero is missing.
+        missing: Counts, changed in place.
+
+    """
+    with np.errstate(invalid='ignore'):
+        largest = np.abs(values).max(-1)
+        is_bad = ~(largest <= LARGEST_COORDINATE)
+    is_zero = largest == 0.0 if zero_is_missing else np.zeros_like(is_bad)
+    for reason, where in (('nan', is_bad), ('zero', is_zero)):
+        if n := int(np.count_nonzero(where)):
+            missing[reason] = n
+    values[is_bad | is_zero] = np.nan
