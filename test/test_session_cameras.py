@@ -50,11 +50,16 @@ def test_single_camera_without_a_pose_is_the_world() -> None:
     np.testing.assert_allclose(calibration.world_T_mocap.matrix, expected.matrix, atol=0.02)
 
 
-def test_several_cameras_need_their_poses(studio: Studio) -> None:
+def test_several_cameras_need_the_poses_that_tf_was_to_give(studio: Studio) -> None:
     """Those without are named; a pose from TF helps, and a new one starts the camera over."""
-    session = Session(without_poses(studio.rig))
+    rig = without_poses(studio.rig)
+    for v in (0, 1):
+        rig = with_camera(rig, v, frame_id=f'eye{v}')
+    session = Session(rig)
     feed(session, studio.messages, together=500)
-    with pytest.raises(CalibrationError, match='no extrinsics of cam0, cam1: each') as refused:
+    with pytest.raises(
+        CalibrationError, match=r"no extrinsics of cam0 \('eye0'\), cam1 \('eye1'\): TF"
+    ) as refused:
         session.snapshot()
     assert refused.value.reason is Reason.NO_EXTRINSICS
     for camera in studio.rig.cameras:

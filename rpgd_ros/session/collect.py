@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from rpgd_ros.messages import decode_camera_info
 from rpgd_ros.pairing import PairCounts, SyncConfig, match
 from rpgd_ros.session.config import SessionConfig
 from rpgd_ros.session.inputs import CameraInput, MocapInput, StreamInput, describe
+from rpgd_ros.session.placing import optical_frames, usable_cameras
 from rpgd_ros.session.snapshot import Snapshot
 
 MOCAP = 'mocap'  # name of the MoCap's stream; those of the cameras have the cameras' names
@@ -181,6 +181,10 @@ class Session:
         """Return rig, pairing and the streams themselves, for a look at their newest messages."""
         return self._rig, self._config.sync, self._mocap, self._cameras
 
+    def optical_frames(self) -> dict[str, str]:
+        """Return what TF shall call the frame of each camera, see `placing.optical_frames`."""
+        return optical_frames(self._cameras, (self._rig.world_frame, self.mocap_frame))
+
     def snapshot(self) -> Snapshot:
         """Take what has been collected, for one solve. Quick: nothing is copied.
 
@@ -191,7 +195,7 @@ class Session:
         """
         self._check_frames()
         self._check_data(tuple(self._cameras))
-        cameras = self._calibrated_cameras()
+        cameras, turns = usable_cameras(self._cameras, self.camera_info_topics())
         self._check_data([camera.name for camera in cameras])
         counts = {
             name: count
@@ -210,6 +214,7 @@ class Session:
             config=self._config.calibration,
             pair_counts=counts,
             left_out=tuple(name for name, c in self._cameras.items() if c.camera is None),
+            turns=turns,
         )
 
     def _input(self, stream: str) -> StreamInput:
@@ -249,26 +254,6 @@ class Session:
         without = f'; without intrinsics: {", ".join(others)}' if others else ''
         msg = f'no usable messages of {", ".join(told)}{without}'
         raise CalibrationError(Reason.NO_DATA, msg)
-
-    def _calibrated_cameras(self) -> tuple[Camera, ...]:
-        """Return the cameras that have intrinsics, with their poses."""
-        cameras = tuple(c.camera for c in self._cameras.values() if c.camera is not None)
-        if not cameras:
-            topics = ', '.join(self.camera_info_topics())
-            msg = f'no intrinsics of any camera: no usable CameraInfo arrived on {topics}'
-            raise CalibrationError(Reason.MISSING_INTRINSICS, msg)
-        if len(self._cameras) == 1:
-            # The only camera may be the world itself; rectified, it is turned against it.
-            pose = cameras[0].camera_T_world or RigidTransform.identity()
-            return (replace(cameras[0], camera_T_world=pose),)
-        blind = [n for n, c in self._cameras.items() if c.camera and not c.has_pose]
-        if blind:
-            msg = (
-                f'no extrinsics of {", ".join(blind)}: each of several cameras needs its '
-                'camera_T_world in the rig file, or its frame_id in TF'
-            )
-            raise CalibrationError(Reason.NO_EXTRINSICS, msg)
-        return cameras
 
     def _never_meet(self, cameras: Sequence[Camera]) -> str:
         mocap_ns = self._mocap.store.stamps()

@@ -179,6 +179,12 @@ class CameraInput(StreamInput):
         """Whether the pose in the world is known."""
         return self._pose is not None
 
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """What rig file, CameraInfo and keypoints call the frame of the camera, if they do."""
+        said = (self.rig.frame_id, self._info.frame_id if self._info else '', self.frame_id)
+        return tuple(name for name in said if name)
+
     def update(self, time_offset_s: float, min_confidence: float) -> None:
         """Change what the rig file said; holds for all that is stored."""
         self.rig = replace(self.rig, time_offset_s=time_offset_s, min_confidence=min_confidence)

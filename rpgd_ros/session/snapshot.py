@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from rpgd_ros.core import calibrate
+from rpgd_ros.core import CameraPose, calibrate, calibrate_cameras
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.config import CalibrationConfig
-from rpgd_ros.core.geometry import Array, IntArray
+from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
 from rpgd_ros.core.observations import MocapTrack, Observations
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.rig_types import KeypointUnits
@@ -55,6 +55,7 @@ class Snapshot:
         config: Settings of the solve.
         pair_counts: Frames of each of these cameras with and without a skeleton.
         left_out: Cameras whose intrinsics have not arrived.
+        turns: By camera without a pose, which the solve is to find: optical frame to camera.
 
     """
 
@@ -66,6 +67,16 @@ class Snapshot:
     config: CalibrationConfig
     pair_counts: Mapping[str, PairCounts]
     left_out: tuple[str, ...] = ()
+    turns: Mapping[str, RigidTransform] = field(default_factory=dict)
+
+    def placed(self, poses: Mapping[str, CameraPose]) -> tuple[Camera, ...]:
+        """Return the cameras with the poses that a solve found; a camera may still have none."""
+        return tuple(
+            replace(c, camera_T_world=self.turns[c.name] @ poses[c.name].camera_T_world)
+            if c.name in self.turns and c.name in poses
+            else c
+            for c in self.cameras
+        )
 
     @cached_property
     def observations(self) -> Observations:
@@ -126,19 +137,14 @@ def solve(
 
     Returns:
         The calibration. Its time offsets are those of the stamps as sent, what the rig file says
-        included; cameras that were left out are among its warnings.
+        included; cameras that were left out are among its warnings. Where several cameras have
+        no pose, it holds `camera_poses` of their optical frames, see `calibrate_cameras`.
 
     Raises:
         CalibrationError: The data do not give a pose that anybody should use.
 
     """
-    calibration = calibrate(
-        snapshot.cameras,
-        snapshot.observations,
-        config=snapshot.config,
-        progress=progress,
-        should_stop=should_stop,
-    )
+    calibration = _calibrated(snapshot, progress, should_stop)
     known_s = {
         camera.name: track.time_offset_s
         for camera, track in zip(snapshot.cameras, snapshot.keypoints, strict=True)
@@ -152,3 +158,23 @@ def solve(
         names = ', '.join(snapshot.left_out)
         warnings = (*warnings, f'left out, because no CameraInfo arrived: {names}')
     return replace(calibration, time_offset_s=offsets, warnings=warnings)
+
+
+def _calibrated(
+    snapshot: Snapshot,
+    progress: Callable[[str, float], None] | None,
+    should_stop: Callable[[], bool] | None,
+) -> Calibration:
+    cameras, observations, config = snapshot.cameras, snapshot.observations, snapshot.config
+    if not snapshot.turns:
+        return calibrate(
+            cameras, observations, config=config, progress=progress, should_stop=should_stop
+        )
+    found = calibrate_cameras(
+        cameras, observations, config=config, progress=progress, should_stop=should_stop
+    )
+    poses = {
+        name: pose.turned(snapshot.turns[name].inverse().rotation)
+        for name, pose in found.poses.items()
+    }
+    return replace(found.calibration, camera_poses=poses)
