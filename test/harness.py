@@ -23,7 +23,10 @@ def ros_environment(domain: int, **extra: str) -> dict[str, str]:
         'ROS_DOMAIN_ID': str(domain),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
         'ROS_PYTHON_CHECK_FIELDS': '1',
-        'PYTHONPATH': str(REPOSITORY),
+        # Before that of a sourced ROS, which lives there.
+        'PYTHONPATH': os.pathsep.join(
+            filter(None, [str(REPOSITORY), os.environ.get('PYTHONPATH', '')])
+        ),
         'PYTHONUNBUFFERED': '1',
         **extra,
     }
