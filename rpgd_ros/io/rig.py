@@ -12,7 +12,7 @@ from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.io.rig_reader import rig_from_node
-from rpgd_ros.io.rig_types import METRES_PER, SCHEMA, MocapSource, Rig, RigCamera
+from rpgd_ros.io.rig_types import JOINT, METRES_PER, SCHEMA, MocapSource, Rig, RigCamera
 from rpgd_ros.io.strict import parse_yaml, read_yaml
 from rpgd_ros.skeletons import CONVENTIONS, match_joints
 
@@ -74,6 +74,7 @@ def rig_text(rig: Rig) -> str:
             'joints': _joints(mocap.joints),
             'units': mocap.units,
             **_given(frame=mocap.frame, type=mocap.type, time_offset=mocap.time_offset_s),
+            **_given(names=mocap.names if mocap.names != JOINT else ''),
         },
         'cameras': [_camera(camera, mocap.joints) for camera in rig.cameras],
     }

@@ -14,6 +14,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.core.lens import Model
 from rpgd_ros.io.rig_types import (
+    JOINT,
     KEYPOINT_UNITS,
     METRES_PER,
     SCHEMA,
@@ -24,7 +25,7 @@ from rpgd_ros.io.rig_types import (
     Units,
 )
 from rpgd_ros.io.strict import Node, shown
-from rpgd_ros.messages import JOINT_TYPES
+from rpgd_ros.messages import KEYPOINT_TYPES, POSE_STAMPED, SKELETON_TYPES
 from rpgd_ros.skeletons import hint, joint_names, landmarks, match_joints
 
 NAME: Final = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
@@ -62,7 +63,7 @@ def rig_from_node(root: Node) -> Rig:
         )
     world_frame = _matching(top['world_frame'], FRAME, 'a frame name')
     entries = top['mocap'].mapping(
-        ('joints',), ('topic', 'type', 'units', 'frame', 'joint_map', 'time_offset')
+        ('joints',), ('topic', 'type', 'units', 'frame', 'joint_map', 'time_offset', 'names')
     )
     mocap = _mocap(entries)
     if mocap.frame == world_frame:
@@ -74,18 +75,21 @@ def rig_from_node(root: Node) -> Rig:
     cameras = tuple(_camera(node, mocap, common) for node in nodes)
     _check_common_map(entries.get('joint_map'), cameras)
     _check_distinct(nodes, mocap, cameras)
-    return Rig(world_frame, mocap, cameras)
+    rig = Rig(world_frame, mocap, cameras)
+    _check_mocap_topics(entries, rig)
+    return rig
 
 
 def _mocap(entries: Entries) -> MocapSource:
     units = entries['units'].choice(METRES_PER) if 'units' in entries else 'm'
     return MocapSource(
-        topic=_topic(entries, 'topic', 'mocap/skeleton'),
+        topic=_mocap_topic(entries),
         joints=_joint_names(entries['joints']),
         units=cast('Units', units),
         frame=_matching(entries['frame'], FRAME, 'a frame name') if 'frame' in entries else '',
-        type=entries['type'].choice(JOINT_TYPES) if 'type' in entries else '',
+        type=entries['type'].choice(SKELETON_TYPES) if 'type' in entries else '',
         time_offset_s=_number(entries, 'time_offset', -MAX_OFFSET_S, MAX_OFFSET_S),
+        names=_pattern(entries['names']) if 'names' in entries else JOINT,
     )
 
 
@@ -123,7 +127,7 @@ def _camera(node: Node, mocap: MocapSource, common: Mapping[str, str | None]) ->
         time_offset_s=_number(entries, 'time_offset', -MAX_OFFSET_S, MAX_OFFSET_S),
         min_confidence=_number(entries, 'min_confidence', 0.0, 1e6),
         extrinsics=extrinsics,
-        type=entries['type'].choice(JOINT_TYPES) if 'type' in entries else '',
+        type=entries['type'].choice(KEYPOINT_TYPES) if 'type' in entries else '',
     )
 
 
@@ -222,8 +226,41 @@ def _check_distinct(nodes: list[Node], mocap: MocapSource, cameras: tuple[RigCam
         topics[camera.keypoints_topic] = f'camera {camera.name}'
 
 
-def _topic(entries: Entries, key: str, default: str) -> str:
-    return _matching(entries[key], TOPIC, 'a topic') if key in entries else default
+def _mocap_topic(entries: Entries) -> str:
+    """Return the topic, which may stand for one topic per joint."""
+    topic = _topic(entries, 'topic', 'mocap/skeleton', stand_in='x')
+    kind = entries['type'].value if 'type' in entries else ''
+    if JOINT in topic and kind not in {'', POSE_STAMPED}:
+        entries['type'].refuse(f'a topic for each {JOINT} carries {POSE_STAMPED}')
+    if kind == POSE_STAMPED and JOINT not in topic:
+        entries.get('topic', entries['type']).refuse(
+            f'{POSE_STAMPED} is one joint: give the topic with {JOINT} in the place of its name'
+        )
+    return topic
+
+
+def _check_mocap_topics(entries: Entries, rig: Rig) -> None:
+    """Refuse joints whose names cannot stand in a topic, and topics that cameras have."""
+    of_cameras = {camera.keypoints_topic for camera in rig.cameras}
+    for topic in rig.mocap_topics if JOINT in rig.mocap.topic else ():
+        if not TOPIC.fullmatch(topic) or topic in of_cameras:
+            entries['topic'].refuse(f'{shown(topic)} cannot be the topic of a joint')
+
+
+def _pattern(node: Node) -> str:
+    text = node.text()
+    if text.count(JOINT) != 1:
+        node.refuse(f'need a text with {JOINT} once in it, got {shown(text)}')
+    return text
+
+
+def _topic(entries: Entries, key: str, default: str, stand_in: str = JOINT) -> str:
+    if key not in entries:
+        return default
+    text = entries[key].text()
+    if not TOPIC.fullmatch(text.replace(JOINT, stand_in, 1)):
+        entries[key].refuse(f'need a topic, got {shown(text)}')
+    return text
 
 
 def _matching(node: Node, pattern: re.Pattern[str], what: str) -> str:

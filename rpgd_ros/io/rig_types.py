@@ -14,6 +14,7 @@ Units = Literal['m', 'cm', 'mm', 'inch']
 METRES_PER: Final[dict[str, float]] = {'m': 1.0, 'cm': 0.01, 'mm': 0.001, 'inch': 0.0254}
 KeypointUnits = Literal['pixels', 'normalized', 'auto']
 KEYPOINT_UNITS: Final = ('pixels', 'normalized', 'auto')
+JOINT: Final = '{joint}'  # stands for the joint in a pattern of names or topics
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +22,13 @@ class MocapSource:
     """The MoCap system.
 
     Attributes:
-        topic: Of the skeleton.
+        topic: Of the skeleton; with `{joint}` in it, each joint has a topic of its own.
         joints: (J,) in message order.
         units: Of the positions.
         frame: MoCap frame; '' = that of the messages.
         type: Message type; '' = what the publisher says.
         time_offset_s: How late the skeleton is stamped: true time = stamp - offset.
+        names: What the messages call the joints, where they come by name: a text with `{joint}`.
 
     """
 
@@ -36,6 +38,12 @@ class MocapSource:
     frame: str = ''
     type: str = ''
     time_offset_s: float = 0.0
+    names: str = JOINT
+
+    @property
+    def sent_names(self) -> tuple[str, ...]:
+        """What the messages call the joints."""
+        return tuple(self.names.replace(JOINT, joint) for joint in self.joints)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,3 +96,17 @@ class Rig:
     world_frame: str
     mocap: MocapSource
     cameras: tuple[RigCamera, ...]
+
+    @property
+    def used_joints(self) -> tuple[int, ...]:
+        """Joints of the MoCap that some camera sees, in order."""
+        return tuple(sorted({j for camera in self.cameras for j, _ in camera.pairs}))
+
+    @property
+    def mocap_topics(self) -> dict[str, str]:
+        """Topics of the skeleton, and the name of the joint that each carries; '' = all."""
+        mocap = self.mocap
+        if JOINT not in mocap.topic:
+            return {mocap.topic: ''}
+        joints = [(mocap.joints[j], mocap.sent_names[j]) for j in self.used_joints]
+        return {mocap.topic.replace(JOINT, joint): name for joint, name in joints}

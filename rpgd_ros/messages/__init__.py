@@ -4,6 +4,15 @@
 The bytes are those of the wire and of bags (CDR): a live node takes them from raw subscriptions.
 """
 
+from rpgd_ros.messages.adapters import (
+    KEYPOINT_TYPES,
+    NORMALISED_TYPES,
+    PARTIAL_TYPES,
+    POSE_STAMPED,
+    SKELETON_TYPES,
+    decode,
+    decode_parts,
+)
 from rpgd_ros.messages.camera_info import (
     CAMERA_INFO,
     CameraInfo,
@@ -20,11 +29,16 @@ from rpgd_ros.messages.tf import TF_MESSAGE, Link, decode_tf, encode_tf
 __all__ = [
     'CAMERA_INFO',
     'JOINT_TYPES',
+    'KEYPOINT_TYPES',
     'MAX_FRAME_ID',
     'MAX_JOINTS',
     'MAX_MESSAGE_BYTES',
+    'NORMALISED_TYPES',
+    'PARTIAL_TYPES',
     'POINT_CLOUD2',
     'POSE_ARRAY',
+    'POSE_STAMPED',
+    'SKELETON_TYPES',
     'TF_MESSAGE',
     'CameraInfo',
     'Decoded',
@@ -32,8 +46,10 @@ __all__ = [
     'FrameTree',
     'JointBatch',
     'Link',
+    'decode',
     'decode_camera_info',
     'decode_joints',
+    'decode_parts',
     'decode_tf',
     'encode_camera_info',
     'encode_point_cloud2',
