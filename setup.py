@@ -23,7 +23,7 @@ setup(
     description='Aligns a motion-capture system with RGB cameras from a walking person.',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed', 'report/page/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -47,11 +47,15 @@ setup(
         ],
         # colcon test looks for pytest here, and runs nothing where it finds none.
         'test': ['pytest>=7.4,<10', 'hypothesis>=6.98,<7'],
+        # Opens the report in a real browser, where chromium is installed.
+        'browser': ['playwright>=1.40,<2'],
         'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<3', 'types-PyYAML>=6.0,<7'],
         # Readers of the files in which Human3.6M and MPI-INF-3DHP come.
         'datasets': ['cdflib>=1.3,<2', 'scipy>=1.11,<2'],
         # evaluate --scheduler: sequences on the workers of a Dask cluster.
         'cluster': ['distributed>=2024.1'],
+        # calibrate_bag --report: a page with plots.
+        'report': ['plotly>=5.18,<7', 'Jinja2>=3.1,<4'],
         # Solvers that the benchmark compares ours with; it leaves out what is not there.
         'bench': ['poselib>=2.0.5,<3', 'scipy>=1.11,<2'],
         # C3D files for import_recording.

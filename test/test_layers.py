@@ -55,7 +55,9 @@ DEPENDENCIES = {
     'ezc3d': frozenset({'importing'}),
     'distributed': frozenset({'apps'}),
     'lz4': frozenset({'io'}),  # likewise
+    'jinja2': frozenset({'report'}),
     'matplotlib': frozenset({'report'}),
+    'plotly': frozenset({'report'}),
     'poselib': frozenset({'apps'}),
     'rich': frozenset({'apps'}),
     'rosbags': frozenset({'messages', 'io'}),
@@ -253,8 +255,8 @@ def test_every_dependency_is_declared_for_rosdep() -> None:
     """What the package imports, package.xml names by its rosdep key."""
     keys = {'cv2': 'python3-opencv', 'launch': 'ros2launch', 'launch_ros': 'ros2launch'}
     keys |= {name: f'python3-{name}' for name in ('matplotlib', 'numpy', 'rich', 'yaml')}
-    # Of datasets, cluster, import and benchmark.
-    optional = {'cdflib', 'distributed', 'ezc3d', 'poselib', 'scipy'}
+    # Of datasets, cluster, import, report and benchmark.
+    optional = {'cdflib', 'distributed', 'ezc3d', 'jinja2', 'plotly', 'poselib', 'scipy'}
     without_key = {PACKAGE, 'rosbags', 'backports', 'lz4', *optional, *sys.stdlib_module_names}
     tops = {name.split('.')[0] for module in package_modules() for _, name in imports(module)}
     used = {keys.get(top, top) for top in tops - without_key}

@@ -3,24 +3,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from rpgd_ros.core.result import Calibration, GroupFit
-from rpgd_ros.session import Session
+from rpgd_ros.report import StreamCount
 
 
-def print_streams(console: Console, session: Session) -> None:
+def print_streams(console: Console, streams: Sequence[StreamCount]) -> None:
     """Print what became of the messages of each stream."""
     table = _table('stream', 'topic', 'messages', 'kept', 'paired', 'dropped, missing joints')
-    pairs = session.pair_counts()
-    for topic, stream in session.topics().items():
-        counts = dict(session.counts(stream))
-        received, kept = counts.pop('received'), counts.pop('kept', 0)
-        rest = ', '.join(f'{n} {reason}' for reason, n in counts.items() if n)
-        paired = str(pairs[stream].paired) if stream in pairs else ''
-        table.add_row(stream, topic, str(received), str(kept), paired, rest)
+    for stream in streams:
+        rest = ', '.join(f'{n} {reason}' for reason, n in stream.dropped.items())
+        paired = '' if stream.paired is None else str(stream.paired)
+        table.add_row(
+            stream.stream, stream.topic, str(stream.received), str(stream.kept), paired, rest
+        )
     console.print(table)
 
 

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of `calibrate_bag`: reads a recording, solves, and keeps all that outputs may need."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from threading import Event
+
+from rich.console import Console
+
+from rpgd_ros.apps.progress import one_bar
+from rpgd_ros.core.errors import CalibrationError, InputError, Reason
+from rpgd_ros.core.observations import Observations
+from rpgd_ros.core.result import Calibration
+from rpgd_ros.io.recording import Recording, open_recording
+from rpgd_ros.io.rig import Rig
+from rpgd_ros.pairing import BufferConfig
+from rpgd_ros.report import StreamCount
+from rpgd_ros.session import Session, SessionConfig, Snapshot, replay, solve
+
+# A recording is finite: all of it is kept, up to a day.
+WHOLE_RECORDING_S = 86_400.0
+UNNAMED_MOCAP_FRAME = 'mocap'  # where neither the rig file nor the messages name one
+
+
+@dataclass(frozen=True, eq=False)
+class BagRun:
+    """What a run gave.
+
+    Attributes:
+        bag: The recording.
+        rig: The cameras that were used.
+        session: All messages.
+        problem: What is missing of a damaged bag, '' = nothing.
+        stamp_ns: When it ended, since 1970.
+        snapshot: What the solve was given; None where nothing came together.
+        calibration: What was found, refused or not; None where that is nothing.
+        refusal: Why nobody should use it; None = accepted.
+
+    """
+
+    bag: Path
+    rig: Rig
+    session: Session
+    problem: str
+    stamp_ns: int
+    snapshot: Snapshot | None = None
+    calibration: Calibration | None = None
+    refusal: CalibrationError | None = None
+
+    @property
+    def frames(self) -> tuple[str, str]:
+        """World and MoCap frame."""
+        return self.rig.world_frame, self.session.mocap_frame or UNNAMED_MOCAP_FRAME
+
+    @cached_property
+    def observations(self) -> Observations | None:
+        """The pairs, at the clock offsets that were found."""
+        if self.snapshot is None:
+            return None
+        found = self.calibration.time_offset_s if self.calibration else {}
+        tracks = tuple(
+            replace(track, time_offset_s=found.get(camera.name, (track.time_offset_s, 0.0))[0])
+            for camera, track in zip(self.snapshot.cameras, self.snapshot.keypoints, strict=True)
+        )
+        return replace(self.snapshot, keypoints=tracks).observations
+
+    @property
+    def streams(self) -> tuple[StreamCount, ...]:
+        """What became of the messages of each stream."""
+        pairs = self.session.pair_counts()
+        found = []
+        for topic, stream in self.session.topics().items():
+            counts = dict(self.session.counts(stream))
+            received, kept = counts.pop('received'), counts.pop('kept', 0)
+            dropped = {reason: n for reason, n in counts.items() if n}
+            paired = pairs[stream].paired if stream in pairs else None
+            found.append(StreamCount(stream, topic, received, kept, paired, dropped))
+        return tuple(found)
+
+
+def read_bag(path: Path, rig: Rig, err: Console, stop: Event) -> BagRun:
+    """Read what a rig needs of a recording.
+
+    Raises:
+        InputError: The bag cannot be used.
+
+    """
+
+    def warn(said: str) -> None:
+        tell(err, f'warning: {said}')
+
+    with open_recording(path, rig) as recording:
+        counted = {'reading': (recording.n_messages, 'messages')}
+        for warning in recording.warnings:
+            warn(warning)
+        session = Session(rig, _config(recording))
+        with one_bar(err, stop, counted) as progress:
+            replay(recording, session, progress=progress, tell=warn)
+        problem = recording.source.problem
+    if problem:
+        tell(err, f'partial data: {problem}')
+    return BagRun(path, rig, session, problem, time.time_ns())
+
+
+def solve_bag(run: BagRun, progress: Callable[[str, float], None]) -> BagRun:
+    """Solve what was read; a refusal is kept in what is returned, not raised."""
+    try:
+        snapshot = run.session.snapshot()
+    except CalibrationError as refusal:
+        return replace(run, refusal=refusal)
+    refused: CalibrationError | None = None
+    found: Calibration | None = None
+    try:
+        found = solve(snapshot, progress=progress)
+    except CalibrationError as refusal:
+        refused, found = refusal, refusal.calibration
+    if found is not None and run.problem:
+        warnings = (*found.warnings, f'found from partial data: {run.problem}')
+        found = replace(found, warnings=warnings)
+    return replace(
+        run, snapshot=snapshot, calibration=found, refusal=refused, stamp_ns=time.time_ns()
+    )
+
+
+def chosen(rig: Rig, names: Sequence[str]) -> Rig:
+    """Return the rig with the cameras that were asked for.
+
+    Raises:
+        InputError: UNKNOWN_CAMERA.
+
+    """
+    known = [camera.name for camera in rig.cameras]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        msg = f'no camera {unknown[0][:80]!r} in the rig file; it has {", ".join(known)}'
+        raise InputError(Reason.UNKNOWN_CAMERA, msg)
+    if not names:
+        return rig
+    return replace(rig, cameras=tuple(c for c in rig.cameras if c.name in names))
+
+
+def tell(console: Console, sentence: str) -> None:
+    """Print a sentence with foreign words in it as it is."""
+    console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+
+
+def _config(recording: Recording) -> SessionConfig:
+    n_frames = max(recording.n_messages, BufferConfig().max_frames)
+    return SessionConfig(buffer=BufferConfig(max_frames=n_frames, max_age_s=WHOLE_RECORDING_S))
