@@ -8,7 +8,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,21 +16,30 @@ import numpy as np
 import yaml
 
 from rpgd_ros import __version__
+from rpgd_ros.core.camera_pose import CameraPose
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array, RigidTransform, euler_zyx_from_rotation
 from rpgd_ros.core.result import Calibration, GroupFit
 from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.io.backups import back_up, backups, utc
+from rpgd_ros.io.camera_poses import (
+    poses_tree,
+    read_covariance,
+    read_poses,
+    read_transform,
+    transform_tree,
+)
+from rpgd_ros.io.frames import NONE, Frames
 from rpgd_ros.io.strict import Node, read_yaml
 
 __all__ = ['StoredResult', 'backups', 'read_result', 'result_text', 'write_result']
 
 SCHEMA: Final = 1
-AGREEMENT: Final = 1e-6  # between the two spellings of the transform: six decimals survive editing
 CONVENTION: Final = (
     'x_world = world_T_mocap @ x_mocap: the pose of the MoCap origin in the world, metres, '
     'right-handed; TF carries it from world_frame (parent) to mocap_frame (child). '
-    'Covariance of (rotation [rad], translation [m]), both along the axes of the world.'
+    'Covariance of (rotation [rad], translation [m]), both along the axes of the world; those of '
+    'camera_poses along the axes of the camera.'
 )
 # Keys that nothing is read from: for people and other programs.
 FOR_PEOPLE: Final = (
@@ -57,6 +66,8 @@ class StoredResult:
         camera_mpjpe_px: Mean residual by camera, pixels; NaN where a camera saw nothing.
         time_offset_s: (offset, sigma) by camera, where estimated, seconds.
         warnings: Sentences for people.
+        camera_poses: Extrinsics by camera, where they were found.
+        optical_frames: Names of their frames, by camera.
 
     """
 
@@ -72,6 +83,8 @@ class StoredResult:
     camera_mpjpe_px: Mapping[str, float]
     time_offset_s: Mapping[str, tuple[float, float]]
     warnings: tuple[str, ...]
+    camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
+    optical_frames: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_result(
@@ -81,6 +94,7 @@ def write_result(
     world_frame: str,
     mocap_frame: str,
     stamp_ns: int,
+    optical_frames: Mapping[str, str] = NONE,
 ) -> None:
     """Write an accepted calibration; a file that was there becomes a dated backup beside it.
 
@@ -90,6 +104,7 @@ def write_result(
         world_frame: Parent frame.
         mocap_frame: Child frame.
         stamp_ns: When it was found, since 1970.
+        optical_frames: By camera, where it is not `<camera>_optical_frame`.
 
     Raises:
         InputError: NOT_WRITABLE. The old file is untouched.
@@ -97,7 +112,11 @@ def write_result(
     """
     path = Path(path)
     text = result_text(
-        calibration, world_frame=world_frame, mocap_frame=mocap_frame, stamp_ns=stamp_ns
+        calibration,
+        world_frame=world_frame,
+        mocap_frame=mocap_frame,
+        stamp_ns=stamp_ns,
+        optical_frames=optical_frames,
     )
     if not path.is_symlink():
         back_up(path)
@@ -105,11 +124,17 @@ def write_result(
 
 
 def result_text(
-    calibration: Calibration, *, world_frame: str, mocap_frame: str, stamp_ns: int
+    calibration: Calibration,
+    *,
+    world_frame: str,
+    mocap_frame: str,
+    stamp_ns: int,
+    optical_frames: Mapping[str, str] = NONE,
 ) -> str:
     """Return a calibration as the text of a result file; arguments as `write_result`."""
     c = calibration
     pose = c.world_T_mocap
+    frames = Frames(world_frame, mocap_frame, optical_frames)
     tree = {
         'schema': SCHEMA,
         'convention': CONVENTION,
@@ -117,11 +142,7 @@ def result_text(
         'mocap_frame': mocap_frame,
         'found': utc(stamp_ns),
         'stamp_ns': int(stamp_ns),
-        'world_T_mocap': {
-            'xyz': pose.translation.tolist(),
-            'quat_xyzw': pose.quat_xyzw.tolist(),
-            'matrix': pose.matrix.tolist(),
-        },
+        'world_T_mocap': transform_tree(pose),
         'sigma': {'rotation_deg': c.sigma_rotation_deg, 'position_m': c.sigma_position_m},
         'covariance': c.covariance.tolist(),
         'covariance_over_time': c.covariance_over_time.tolist(),
@@ -134,6 +155,7 @@ def result_text(
             )
         },
         'cameras': {name: _fit(fit) for name, fit in c.per_camera.items()},
+        'camera_poses': poses_tree(c.camera_poses, frames),
         'joints': {str(name): _fit(fit) for name, fit in c.per_joint.items()},
         'time_offset_s': {name: list(pair) for name, pair in c.time_offset_s.items()},
         'warnings': list(c.warnings),
@@ -191,7 +213,7 @@ def read_result(path: Path | str) -> StoredResult:
             *('schema', 'world_frame', 'mocap_frame', 'stamp_ns', 'world_T_mocap', 'sigma'),
             *('covariance', 'mpjpe_px', 'inlier_ratio', 'cameras'),
         ),
-        ('time_offset_s', 'warnings', *FOR_PEOPLE),
+        ('time_offset_s', 'warnings', 'camera_poses', *FOR_PEOPLE),
     )
     if top['schema'].integer(0, 10**6) != SCHEMA:
         top['schema'].refuse(
@@ -200,11 +222,12 @@ def read_result(path: Path | str) -> StoredResult:
     sigma = top['sigma'].mapping(('rotation_deg', 'position_m'))
     offsets = top['time_offset_s'].items() if 'time_offset_s' in top else ()
     warnings = top['warnings'].sequence() if 'warnings' in top else []
+    poses, optical = read_poses(top['camera_poses']) if 'camera_poses' in top else ({}, {})
     return StoredResult(
         world_frame=top['world_frame'].text(),
         mocap_frame=top['mocap_frame'].text(),
-        world_T_mocap=_transform(top['world_T_mocap']),
-        covariance=_covariance(top['covariance']),
+        world_T_mocap=read_transform(top['world_T_mocap']),
+        covariance=read_covariance(top['covariance']),
         stamp_ns=top['stamp_ns'].integer(0, 2**63 - 1),
         mpjpe_px=top['mpjpe_px'].number(0.0),
         inlier_ratio=top['inlier_ratio'].number(0.0, 1.0),
@@ -213,6 +236,8 @@ def read_result(path: Path | str) -> StoredResult:
         camera_mpjpe_px={name: _mpjpe(node) for name, node in top['cameras'].items()},
         time_offset_s={name: _offset(node) for name, node in offsets},
         warnings=tuple(node.text() for node in warnings),
+        camera_poses=poses,
+        optical_frames=optical,
     )
 
 
@@ -237,34 +262,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def _transform(node: Node) -> RigidTransform:
-    """Read the matrix, which has all digits, and check it against the other spelling."""
-    entries = node.mapping(('xyz', 'quat_xyzw', 'matrix'))
-    matrix = np.array([row.numbers(4) for row in entries['matrix'].sequence()])
-    if matrix.shape != (4, 4) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        entries['matrix'].refuse('need 4 rows of 4 numbers, the last of them 0, 0, 0, 1')
-    quat_xyzw = entries['quat_xyzw'].numbers(4)
-    try:
-        transform = RigidTransform.from_matrix(matrix)
-        other = RigidTransform.from_quat_xyzw(entries['xyz'].numbers(3), quat_xyzw)
-    except ValueError as error:
-        node.refuse(str(error))
-    apart = float(np.abs(transform.matrix - other.matrix).max())
-    if apart > AGREEMENT:
-        node.refuse(f'xyz and quat_xyzw differ from matrix by {apart:.2g}: change all or none')
-    return transform
-
-
-def _covariance(node: Node) -> Array:
-    rows = [row.numbers(6) for row in node.sequence()]
-    covariance = np.array(rows)
-    if covariance.shape != (6, 6) or not np.allclose(covariance, covariance.T, rtol=1e-6):
-        node.refuse('need 6 rows of 6 numbers, symmetric')
-    if (np.diag(covariance) < 0.0).any():
-        node.refuse('need variances that are not negative on the diagonal')
-    return covariance
 
 
 def _mpjpe(camera: Node) -> float:
