@@ -123,6 +123,14 @@ def repeats(full: int, few: int) -> int:
     return full if IS_FULL else few
 
 
+def within(seconds: float) -> float:
+    """Return how long something may take: in `make faults` what is asked for, every day more.
+
+    A machine that does other things beside the tests says nothing about the package.
+    """
+    return seconds if IS_FULL else 10.0 * seconds
+
+
 def rows_of(item: pytest.Item) -> list[str]:
     """Return the rows that a test shows.
 

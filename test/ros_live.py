@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,16 +82,24 @@ class Live:
 
 
 @contextmanager
-def live(rig: Path, *parameters: str, namespace: str = '') -> Iterator[Live]:
+def live(
+    rig: Path,
+    *parameters: str,
+    namespace: str = '',
+    program: Sequence[str] = CALIBRATOR,
+    domain: int | None = None,
+) -> Iterator[Live]:
     """Run the node with a rig file; its result file is `result.yaml` beside that.
 
     Args:
         rig: Rig file.
         parameters: As `name:=value`; automatic calibration is off unless they say otherwise.
         namespace: Of the node and its peer.
+        program: What to run, before the arguments of ROS.
+        domain: Of the node and its peer; None = a free one.
 
     """
-    domain = free_domain()
+    domain = free_domain() if domain is None else domain
     given = (
         f'rig_file:={rig}',
         f'result_file:={rig.parent / "result.yaml"}',
@@ -100,7 +108,7 @@ def live(rig: Path, *parameters: str, namespace: str = '') -> Iterator[Live]:
         'tf_mode:=none',
         *parameters,
     )
-    arguments = [*CALIBRATOR, '--ros-args', *(word for p in given for word in ('-p', p))]
+    arguments = [*program, '--ros-args', *(word for p in given for word in ('-p', p))]
     if namespace:
         arguments += ['-r', f'__ns:={namespace}']
     with (
