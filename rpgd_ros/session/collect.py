@@ -15,8 +15,9 @@ from rpgd_ros.io.rig import Rig
 from rpgd_ros.messages import decode_camera_info
 from rpgd_ros.pairing import PairCounts, SyncConfig, match
 from rpgd_ros.session.config import SessionConfig
-from rpgd_ros.session.inputs import CameraInput, MocapInput, StreamInput, describe
+from rpgd_ros.session.inputs import CameraInput, StreamInput, describe
 from rpgd_ros.session.placing import optical_frames, usable_cameras
+from rpgd_ros.session.skeletons import MocapInput
 from rpgd_ros.session.snapshot import Snapshot
 
 MOCAP = 'mocap'  # name of the MoCap's stream; those of the cameras have the cameras' names
@@ -36,7 +37,7 @@ class Session:
         self._rig = rig
         self._config = config or SessionConfig()
         # The columns of the observations: MoCap joints that some camera sees.
-        self._columns = sorted({j for camera in rig.cameras for j, _ in camera.pairs})
+        self._columns = rig.used_joints
         buffer = self._config.buffer
         self._mocap = MocapInput(rig.mocap, self._columns, buffer)
         self._cameras = {c.name: CameraInput(c, self._columns, buffer) for c in rig.cameras}
@@ -59,9 +60,13 @@ class Session:
         return self._n_epochs
 
     def topics(self) -> Mapping[str, str]:
-        """Return the stream of each topic of joints."""
+        """Return the stream of each topic of joints; `mocap/<joint>` where it carries only one."""
         cameras = {c.keypoints_topic: c.name for c in self._rig.cameras}
-        return {self._rig.mocap.topic: MOCAP, **cameras}
+        mocap = {
+            topic: f'{MOCAP}/{joint}' if joint else MOCAP
+            for topic, joint in self._rig.mocap_topics.items()
+        }
+        return mocap | cameras
 
     def camera_info_topics(self) -> Mapping[str, str]:
         """Return the camera of each topic of intrinsics that the rig file does not give."""
@@ -77,7 +82,7 @@ class Session:
         """Take serialised messages of one stream; what cannot be used is counted.
 
         Args:
-            stream: One of `streams`.
+            stream: One of `streams`, or of those that `topics` gives.
             msgtype: Their ROS type.
             payloads: In the order of arrival.
             receive_ns: When each arrived.
@@ -86,17 +91,19 @@ class Session:
             InputError: UNKNOWN_CAMERA. There is no such stream.
 
         """
-        went_back = self._input(stream).add(
+        source = self._input(stream)
+        went_back = source.add(
             msgtype,
             payloads,
             receive_ns,
             zero_is_missing=self._config.zero_is_missing,
             use_receive_time=self._config.sync.use_receive_time,
+            part=stream.partition('/')[2],
         )
         if went_back:
             self._n_epochs += 1
-            for name, other in self._inputs.items():
-                if name != stream:
+            for other in self._inputs.values():
+                if other is not source:
                     other.store.start_epoch()
 
     def set_intrinsics(self, camera: str, payload: bytes) -> str:
@@ -131,7 +138,7 @@ class Session:
         """Change the settings, from the next message and the next snapshot on."""
         self._config = config
         for stream in self._inputs.values():
-            stream.store.resize(config.buffer.max_frames, config.buffer.max_age_s)
+            stream.resize(config.buffer)
 
     def update_camera(self, name: str, *, time_offset_s: float, min_confidence: float) -> None:
         """Change what may change of a camera while it is used; holds for all that is stored.
@@ -218,10 +225,11 @@ class Session:
         )
 
     def _input(self, stream: str) -> StreamInput:
-        if stream not in self._inputs:
+        name = MOCAP if stream.startswith(f'{MOCAP}/') else stream
+        if name not in self._inputs:
             msg = f'no stream {stream[:80]!r}; there are {", ".join(self._inputs)}'
             raise InputError(Reason.UNKNOWN_CAMERA, msg)
-        return self._inputs[stream]
+        return self._inputs[name]
 
     def _camera(self, name: str) -> CameraInput:
         if name not in self._cameras:
@@ -247,6 +255,7 @@ class Session:
         if MOCAP not in silent and len(silent) < len(cameras):
             return
         topics = {stream: topic for topic, stream in self.topics().items()}
+        topics[MOCAP] = self._rig.mocap.topic
         told = [
             f'{name} ({topics[name]}; {describe(self._inputs[name].counts())})' for name in silent
         ]

@@ -93,12 +93,11 @@ class GatheredStream:
             total.update(part.counts)
         return {**total, **self.problems, 'skeletons': len(self.stamps())}
 
-    def add(self, batch: PartBatch, stamp_ns: IntArray) -> bool:
+    def add(self, batch: PartBatch) -> bool:
         """Take parts in the order of their arrival.
 
         Args:
             batch: The parts.
-            stamp_ns: (N,) their stamps.
 
         Returns:
             Whether a backward jump was believed: the other streams have to `start_epoch`.
@@ -113,7 +112,7 @@ class GatheredStream:
                 part = self._parts[name] = JointStream(
                     *self._buffer, n_joints=1, n_values=n_values
                 )
-            if part.add(stamp_ns[rows], batch.values[rows][:, None], None):
+            if part.add(batch.stamp_ns[rows], batch.values[rows][:, None], None):
                 went_back = True
                 for other in self._parts.values():
                     if other is not part:

@@ -11,13 +11,13 @@ from typing import Literal
 import numpy as np
 
 from rpgd_ros.core.camera import Camera
-from rpgd_ros.core.geometry import BoolArray, RigidTransform, rotation_angle
-from rpgd_ros.io.rig import METRES_PER, MocapSource, RigCamera
-from rpgd_ros.messages import CameraInfo, decode_joints
+from rpgd_ros.core.geometry import RigidTransform, rotation_angle
+from rpgd_ros.io.rig import RigCamera
+from rpgd_ros.messages import NORMALISED_TYPES, CameraInfo, decode
 from rpgd_ros.pairing import BufferConfig, JointStream, Samples
+from rpgd_ros.session.gather import GatheredStream
 from rpgd_ros.session.snapshot import KeypointTrack
 
-MOTION_FRAMES = 200  # of which the way of the body is measured, spread over the recording
 # Poses of /tf that differ by less are one: 0.02 px at a focal length of 1200 px and 5 m.
 SAME_ROTATION = 1e-5  # rad
 SAME_POSITION_M = 1e-4
@@ -35,7 +35,7 @@ class StreamInput:
     def __init__(
         self,
         *,
-        n_joints: int,
+        joints: Sequence[str],
         used: Sequence[int],
         n_values: Literal[2, 3],
         buffer: BufferConfig,
@@ -45,7 +45,7 @@ class StreamInput:
         """Start empty.
 
         Args:
-            n_joints: Joints that a message has.
+            joints: Joints that a message has, as it calls them.
             used: Those that are kept, in this order.
             n_values: Coordinates of each.
             buffer: Bounds of the store.
@@ -53,11 +53,13 @@ class StreamInput:
             min_confidence: Joints with a lower score are counted.
 
         """
-        self.store = JointStream(
+        self._whole = JointStream(
             buffer.max_frames, buffer.max_age_s, n_joints=len(used), n_values=n_values
         )
+        self.store: JointStream | GatheredStream = self._whole
         self.frame_id: str | None = None
-        self._n_joints = n_joints
+        self._names = tuple(joints)
+        self._msgtype = ''
         self._n_values: Literal[2, 3] = n_values
         self._used = np.array(used, np.int64)
         self._scale = scale
@@ -74,14 +76,26 @@ class StreamInput:
         *,
         zero_is_missing: bool,
         use_receive_time: bool,
+        part: str = '',  # noqa: ARG002 (of skeletons only)
     ) -> bool:
-        """Take serialised messages; return whether a backward jump of the clock was believed."""
+        """Take serialised messages; return whether a backward jump of the clock was believed.
+
+        Args:
+            msgtype: Their type.
+            payloads: In the order of arrival.
+            receive_ns: When each arrived.
+            zero_is_missing: Whether a joint at exactly zero is missing.
+            use_receive_time: Whether the arrival counts instead of the stamp.
+            part: Joint that the topic carries, as the messages would call it; '' = all.
+
+        """
         self._n_received += len(payloads)
-        decoded = decode_joints(
+        decoded = decode(
             msgtype,
             payloads,
-            n_joints=self._n_joints,
+            joints=self._names,
             n_values=self._n_values,
+            receive_ns=receive_ns,
             zero_is_missing=zero_is_missing,
             frame_id=self.frame_id,
             needs_stamp=not use_receive_time,
@@ -93,7 +107,7 @@ class StreamInput:
         batch = decoded.batch
         if batch is None:
             return False
-        self.frame_id = batch.frame_id
+        self.frame_id, self._msgtype = batch.frame_id, msgtype
         stamp_ns = batch.stamp_ns
         if use_receive_time:
             stamp_ns = np.array([receive_ns[i] for i in batch.index], np.int64)
@@ -107,7 +121,11 @@ class StreamInput:
             if self._min_confidence > 0.0 and (confidence < self._min_confidence).any():
                 n_low = int(np.count_nonzero(confidence < self._min_confidence))
                 self._joints['low_confidence'] += n_low
-        return self.store.add(stamp_ns, values, confidence)
+        return self._whole.add(stamp_ns, values, confidence)
+
+    def resize(self, buffer: BufferConfig) -> None:
+        """Change the bounds of the store."""
+        self.store.resize(buffer.max_frames, buffer.max_age_s)
 
     def clear(self) -> None:
         """Forget the messages and their frame; the counts stay."""
@@ -122,34 +140,6 @@ class StreamInput:
         return counts | self._joints
 
 
-class MocapInput(StreamInput):
-    """The skeletons, in metres."""
-
-    def __init__(self, source: MocapSource, used: Sequence[int], buffer: BufferConfig) -> None:
-        """Start empty; `used` are the joints that some camera sees."""
-        super().__init__(
-            n_joints=len(source.joints),
-            used=used,
-            n_values=3,
-            buffer=buffer,
-            scale=METRES_PER[source.units],
-        )
-
-    def motion_m(self) -> float:
-        """Return how far the body moved: diagonal of the box that holds its centre, metres."""
-        x = self.store.arrays().values
-        x = x[np.linspace(0, len(x) - 1, min(len(x), MOTION_FRAMES)).astype(np.int64)]
-        there: BoolArray = np.isfinite(x.sum(-1))
-        there &= there.sum(1, keepdims=True) >= 0.5 * there.sum(1).max(initial=0)
-        x = x[there.any(1)][:, there.any(0)]
-        if not len(x):
-            return 0.0
-        # Each joint from its own place: a joint that comes and goes does not move the centre.
-        centres = np.nanmean(x - np.nanmedian(x, 0), 1)
-        low, high = np.quantile(centres, [0.02, 0.98], axis=0)
-        return float(np.linalg.norm(high - low))
-
-
 class CameraInput(StreamInput):
     """The keypoints of one camera, as sent, and what is known of the camera.
 
@@ -162,7 +152,7 @@ class CameraInput(StreamInput):
     def __init__(self, rig: RigCamera, columns: Sequence[int], buffer: BufferConfig) -> None:
         """Start empty; `columns` are the MoCap joints of the observations."""
         super().__init__(
-            n_joints=len(rig.keypoint_joints),
+            joints=rig.keypoint_joints,
             used=[k for _, k in rig.pairs],
             n_values=2,
             buffer=buffer,
@@ -239,7 +229,7 @@ class CameraInput(StreamInput):
         return KeypointTrack(
             samples=samples,
             columns=self._columns,
-            units=self.rig.units,
+            units='normalized' if self._msgtype in NORMALISED_TYPES else self.rig.units,
             min_confidence=self.rig.min_confidence,
             time_offset_s=time_offset_s,
         )
