@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import yaml
 
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.io.rig_reader import rig_from_node
 from rpgd_ros.io.rig_types import JOINT, METRES_PER, SCHEMA, MocapSource, Rig, RigCamera
@@ -24,6 +27,7 @@ __all__ = [
     'parse_rig',
     'read_rig',
     'rig_text',
+    'with_poses',
     'write_rig',
 ]
 
@@ -61,6 +65,22 @@ def write_rig(path: Path | str, rig: Rig) -> None:
 
     """
     write_atomic(path, rig_text(rig))
+
+
+def with_poses(rig: Rig, poses: Mapping[str, RigidTransform]) -> Rig:
+    """Return a rig in which cameras have the extrinsics that were found for them.
+
+    Args:
+        rig: With or without extrinsics.
+        poses: camera_T_world of the optical frames, by camera.
+
+    """
+    cameras = []
+    for c in rig.cameras:
+        pose = poses.get(c.name, c.extrinsics)
+        camera = c.camera if c.camera is None else replace(c.camera, camera_T_world=pose)
+        cameras.append(replace(c, extrinsics=pose, camera=camera))
+    return replace(rig, cameras=tuple(cameras))
 
 
 def rig_text(rig: Rig) -> str:
