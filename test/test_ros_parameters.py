@@ -19,6 +19,7 @@ from rpgd_ros.ros.parameters_text import (
     paper_yaml,
 )
 from rpgd_ros.ros.settings import NodeConfig
+from rpgd_ros.ros.setup import read_setup
 
 CONFIG = Path(__file__).parent.parent / 'config'
 CAMERAS = ('cam0', 'cam1')
@@ -132,3 +133,18 @@ def test_long_foreign_names_are_cut() -> None:
     with pytest.raises(InputError) as refused:
         read_config({'x' * 10_000: 1}, CAMERAS)
     assert len(refused.value.message) < 200
+
+
+def test_frame_given_as_a_parameter_goes_before_the_pose_of_the_rig_file(tmp_path: Path) -> None:
+    """The user who names a frame wants the pose of TF."""
+    pose = 'camera_T_world: {xyz: [0, 0, 5], quat_xyzw: [0, 0, 0, 1]}'
+    camera = f'{{name: cam0, keypoints: coco17, {pose}}}'
+    path = tmp_path / 'rig.yaml'
+    path.write_text(
+        f'schema: 1\nworld_frame: studio\nmocap: {{joints: plug_in_gait}}\ncameras: [{camera}]\n'
+    )
+    rig, _ = read_setup({'rig_file': str(path)})
+    assert rig.cameras[0].extrinsics is not None
+    rig, _ = read_setup({'rig_file': str(path), 'camera.cam0.frame_id': 'cam0_optical'})
+    assert rig.cameras[0].extrinsics is None
+    assert rig.cameras[0].frame_id == 'cam0_optical'

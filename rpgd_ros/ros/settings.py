@@ -87,6 +87,7 @@ class CameraSettings(Stage):
         '', 'Type of that topic; empty = what its publisher says', choices=('', *JOINT_TYPES)
     )
     camera_info_topic: str = setting('', 'Topic of the CameraInfo; empty = rig file has K')
+    frame_id: str = setting('', 'Optical frame, for its pose from TF; empty = rig file has it')
     units: Literal['pixels', 'normalized', 'auto'] = setting(
         'pixels', 'Unit of the keypoints', choices=KEYPOINT_UNITS
     )

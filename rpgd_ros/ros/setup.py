@@ -57,6 +57,7 @@ def config_of(rig: Rig) -> NodeConfig:
                 keypoints_topic=camera.keypoints_topic,
                 type=camera.type,
                 camera_info_topic=camera.camera_info_topic,
+                frame_id=camera.frame_id,
                 units=camera.units,
                 rectified=camera.rectified,
                 time_offset=camera.time_offset_s,
@@ -97,11 +98,19 @@ def overridden(rig: Rig, config: NodeConfig) -> Rig:
 
 
 def _overridden(camera: RigCamera, settings: CameraSettings) -> RigCamera:
+    extrinsics, intrinsics = camera.extrinsics, camera.camera
+    if settings.frame_id != camera.frame_id:
+        # The parameter goes before the rig file: the pose is that of TF.
+        extrinsics = None
+        intrinsics = None if intrinsics is None else replace(intrinsics, camera_T_world=None)
     return replace(
         camera,
+        camera=intrinsics,
         keypoints_topic=settings.keypoints_topic,
         type=settings.type,
         camera_info_topic=settings.camera_info_topic,
+        frame_id=settings.frame_id,
+        extrinsics=extrinsics,
         units=settings.units,
         rectified=settings.rectified,
         time_offset_s=settings.time_offset,
