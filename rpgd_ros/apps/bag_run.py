@@ -74,7 +74,7 @@ class BagRun:
         """What became of the messages of each stream."""
         pairs = self.session.pair_counts()
         found = []
-        for topic, stream in self.session.topics().items():
+        for stream, topic in self.session.sources().items():
             counts = dict(self.session.counts(stream))
             received, kept = counts.pop('received'), counts.pop('kept', 0)
             dropped = {reason: n for reason, n in counts.items() if n}
@@ -122,6 +122,8 @@ def solve_bag(run: BagRun, progress: Callable[[str, float], None]) -> BagRun:
     if found is not None and run.problem:
         warnings = (*found.warnings, f'found from partial data: {run.problem}')
         found = replace(found, warnings=warnings)
+    if found is not None and refused is None:
+        snapshot = snapshot.settled(found.camera_poses)
     return replace(
         run, snapshot=snapshot, calibration=found, refusal=refused, stamp_ns=time.time_ns()
     )

@@ -13,10 +13,11 @@ from typing import Final, Literal, Self
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rpgd_ros.core.errors import InputError, Reason
+from rpgd_ros.messages.definitions import DEFINITIONS
 
 METADATA_VERSION: Final = 9  # Jazzy's
 Storage = Literal['mcap', 'sqlite3']
@@ -69,7 +70,7 @@ class BagWriter:
 
         Args:
             topic: Absolute name.
-            msgtype: Its type, one of the common interfaces.
+            msgtype: Its type, one of the common interfaces or of `DEFINITIONS`.
             receive_ns: Arrival.
             payload: Serialised message.
 
@@ -142,4 +143,9 @@ class BagWriter:
 
 @lru_cache(maxsize=1)
 def _types() -> Typestore:
-    return get_typestore(Stores.ROS2_JAZZY)
+    types = get_typestore(Stores.ROS2_JAZZY)
+    found = {}
+    for name, text in DEFINITIONS.items():
+        found |= get_types_from_msg(text, name)
+    types.register(found)
+    return types

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.io.bag import TopicInfo, absolute_name, open_bag
 from rpgd_ros.io.rig import Rig, RigCamera
-from rpgd_ros.messages import CAMERA_INFO, JOINT_TYPES
+from rpgd_ros.messages import CAMERA_INFO, KEYPOINT_TYPES, POSE_STAMPED, SKELETON_TYPES
 from rpgd_ros.messages.cdr import FRAME_OFFSET
 
 # Messages gathered before they are handed on by topic: batches of about 100 decode fastest, and
@@ -82,9 +82,17 @@ class Recording:
         if not any(info.n_messages for info in self.source.topics.values()):
             raise InputError(Reason.BAD_BAG, f'{self.name} holds no messages at all')
         mocap = self.rig.mocap
-        if not self._has(mocap.topic, mocap.type):
+        skeletons = [
+            topic
+            for topic, joint in self.rig.mocap_topics.items()
+            if self._has(topic, mocap.type or (POSE_STAMPED if joint else ''))
+        ]
+        if not skeletons:
             raise self._missing([mocap.topic], 'the skeleton')
-        absent = [c for c in self.rig.cameras if not self._has(c.keypoints_topic, c.type)]
+        absent = [
+            c for c in self.rig.cameras
+            if not self._has(c.keypoints_topic, c.type, known=KEYPOINT_TYPES)
+        ]  # fmt: skip
         if len(absent) == len(self.rig.cameras):
             raise self._missing([c.keypoints_topic for c in absent], 'any keypoints')
         for camera in self.rig.cameras:
@@ -103,7 +111,7 @@ class Recording:
     @property
     def topics(self) -> dict[str, str]:
         """Topics of skeletons and keypoints that have messages: absolute name to the rig's."""
-        names = [self.rig.mocap.topic, *(c.keypoints_topic for c in self.rig.cameras)]
+        names = [*self.rig.mocap_topics, *(c.keypoints_topic for c in self.rig.cameras)]
         return {absolute_name(name): name for name in names if self._count(name)}
 
     @property
@@ -168,12 +176,14 @@ class Recording:
         info = self.source.topics.get(absolute_name(topic))
         return info.n_messages if info else 0
 
-    def _has(self, topic: str, expected_type: str) -> bool:
+    def _has(
+        self, topic: str, expected_type: str, known: Collection[str] = SKELETON_TYPES
+    ) -> bool:
         """Tell whether a stream of joints is there; refuse a type that is none."""
         if not self._count(topic):
             return False
         msgtype = self.source.topics[absolute_name(topic)].msgtype
-        allowed = (expected_type,) if expected_type else JOINT_TYPES
+        allowed = (expected_type,) if expected_type else known
         if msgtype not in allowed:
             msg = (
                 f'{self.name}: topic {absolute_name(topic)!r} has type {msgtype!r}; '

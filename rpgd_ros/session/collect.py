@@ -68,6 +68,11 @@ class Session:
         }
         return mocap | cameras
 
+    def sources(self) -> Mapping[str, str]:
+        """Return where each of the `streams` comes from: a topic, or a pattern of topics."""
+        cameras = {c.name: c.keypoints_topic for c in self._rig.cameras}
+        return {MOCAP: self._rig.mocap.topic, **cameras}
+
     def camera_info_topics(self) -> Mapping[str, str]:
         """Return the camera of each topic of intrinsics that the rig file does not give."""
         return {c.camera_info_topic: c.name for c in self._rig.cameras if c.camera is None}
@@ -254,10 +259,9 @@ class Session:
         silent = [n for n in (MOCAP, *cameras) if not len(self._inputs[n].store.stamps())]
         if MOCAP not in silent and len(silent) < len(cameras):
             return
-        topics = {stream: topic for topic, stream in self.topics().items()}
-        topics[MOCAP] = self._rig.mocap.topic
         told = [
-            f'{name} ({topics[name]}; {describe(self._inputs[name].counts())})' for name in silent
+            f'{name} ({self.sources()[name]}; {describe(self._inputs[name].counts())})'
+            for name in silent
         ]
         others = [name for name in self._cameras if name not in cameras]
         without = f'; without intrinsics: {", ".join(others)}' if others else ''
