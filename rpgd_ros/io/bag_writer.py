@@ -9,7 +9,7 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -144,7 +144,7 @@ class BagWriter:
 @lru_cache(maxsize=1)
 def _types() -> Typestore:
     types = get_typestore(Stores.ROS2_JAZZY)
-    found = {}
+    found: dict[str, Any] = {}
     for name, text in DEFINITIONS.items():
         found |= get_types_from_msg(text, name)
     types.register(found)
