@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from typing import Any, NamedTuple
@@ -17,10 +18,14 @@ from rpgd_ros.apps.bag_run import BagRun, tell
 from rpgd_ros.apps.progress import one_bar
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.datasets.labels import write_labels
+from rpgd_ros.io.atomic import write_atomic
+from rpgd_ros.io.camera_files import toml_text
 from rpgd_ros.io.result_file import result_text, write_result
+from rpgd_ros.io.rig import with_poses, write_rig
 from rpgd_ros.report import Case, Step, check_libraries, settle, write_report
 
 JSON_SCHEMA = 1
+RIG_SUFFIXES = ('.yaml', '.yml', '.toml')
 
 
 class Written(NamedTuple):
@@ -43,10 +48,14 @@ def check_outputs(arguments: argparse.Namespace) -> None:
         InputError: NOT_WRITABLE, or a library is missing.
 
     """
-    for path in filter(None, (arguments.output, arguments.report, arguments.export)):
+    paths = (arguments.output, arguments.report, arguments.export, arguments.write_rig)
+    for path in filter(None, paths):
         if not path.absolute().parent.is_dir():
             msg = f'{path.parent} is no folder: create it first'
             raise InputError(Reason.NOT_WRITABLE, msg)
+    if arguments.write_rig and arguments.write_rig.suffix not in RIG_SUFFIXES:
+        msg = f'{arguments.write_rig}: need a name that ends in {", ".join(RIG_SUFFIXES)}'
+        raise InputError(Reason.NOT_WRITABLE, msg)
     if arguments.report:
         check_libraries()
 
@@ -76,6 +85,7 @@ Writer = Callable[[BagRun, Path, Callable[[str, float], None]], None]
 def _writers(run: BagRun, _arguments: argparse.Namespace) -> Iterator[tuple[str, Writer]]:
     if run.refusal is None:
         yield 'output', _result
+        yield 'write_rig', _rig
         yield 'export', _labels
     yield 'report', _report
 
@@ -89,7 +99,25 @@ def _result(run: BagRun, path: Path, _progress: Callable[[str, float], None]) ->
             world_frame=world_frame,
             mocap_frame=mocap_frame,
             stamp_ns=run.stamp_ns,
+            optical_frames=run.session.optical_frames(),
         )
+
+
+def _rig(run: BagRun, path: Path, _progress: Callable[[str, float], None]) -> None:
+    if run.calibration is None or run.snapshot is None:
+        return
+    if path.suffix == '.toml':
+        # Triangulated with these, the keypoints lie where the MoCap has its joints.
+        mocap = run.calibration.world_T_mocap
+        cameras = [
+            replace(c, camera_T_world=c.camera_T_world @ mocap)
+            for c in run.snapshot.cameras
+            if c.camera_T_world is not None
+        ]
+        write_atomic(path, toml_text(cameras, run.frames[1]))
+        return
+    poses = {name: p.camera_T_world for name, p in run.calibration.camera_poses.items()}
+    write_rig(path, with_poses(run.rig, poses))
 
 
 def _labels(run: BagRun, path: Path, progress: Callable[[str, float], None]) -> None:
@@ -177,6 +205,7 @@ def json_of(
             world_frame=world_frame,
             mocap_frame=mocap_frame,
             stamp_ns=run.stamp_ns,
+            optical_frames=run.session.optical_frames(),
         )
         tree['result'] = yaml.safe_load(text)
     return json.dumps(tree, indent=2, default=str)

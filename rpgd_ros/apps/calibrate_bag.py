@@ -44,6 +44,7 @@ examples:
   calibrate_bag walk/ --rig rig.yaml                       # mcap or sqlite3, Humble to Jazzy
   calibrate_bag walk/walk_0.mcap --rig rig.yaml --output result.yaml
   calibrate_bag walk/ --rig rig.yaml --report report.html  # look before you trust
+  calibrate_bag walk/ --rig rig.yaml --write-rig found.yaml   # cameras without extrinsics
   calibrate_bag walk/ --rig rig.yaml --cameras cam0 cam2   # leave the others out
 exit codes:
   0   accepted
@@ -93,6 +94,11 @@ def _parser() -> argparse.ArgumentParser:
         'accepted result'
     )
     add('--export', type=Path, metavar='DIR', help=text)
+    text = (
+        'write the rig with the extrinsics that were found here: a rig file (.yaml), or the '
+        'cameras in the MoCap frame for aniposelib and Pose2Sim (.toml)'
+    )
+    add('--write-rig', type=Path, metavar='RIG.yaml|.toml', help=text)
     text = 'print the outcome as JSON, for programs; its keys stand in docs/report.md'
     add('--json', action='store_true', help=text)
     text = 'use these cameras of the rig only'

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from rpgd_ros.core.camera_pose import CameraPose, is_mocap_world
 from rpgd_ros.core.result import Calibration, GroupFit
 from rpgd_ros.report import StreamCount
 
@@ -33,7 +34,8 @@ def print_calibration(
     for fit in calibration.per_camera.values():
         table.add_row(*_camera_row(fit))
     console.print(table)
-    pose = calibration.world_T_mocap
+    pose, covariance = calibration.world_T_mocap, calibration.covariance
+    poses = calibration.camera_poses
     sigma_deg, sigma_m = calibration.worst_sigma
     table = _table('', '')
     table.show_header = False
@@ -41,7 +43,12 @@ def print_calibration(
         ('transform', f'{world_frame} <- {mocap_frame}: x_world = R x_mocap + t'),
         ('t (x y z)', f'{_numbers(pose.translation)} m'),
         ('q (x y z w)', _numbers(pose.quat_xyzw)),
-        ('sigma', f'{sigma_deg:.3f} deg, {1000 * sigma_m:.1f} mm at the body'),
+        (
+            'sigma',
+            'none: the MoCap frame is the world'
+            if is_mocap_world(poses, covariance)
+            else f'{sigma_deg:.3f} deg, {1000 * sigma_m:.1f} mm at the body',
+        ),
         ('MPJPE', f'{calibration.mpjpe_px:.2f} px, median {calibration.median_px:.2f} px'),
         ('inliers', f'{100 * calibration.inlier_ratio:.1f} % of {calibration.correspondences}'),
         ('frames', str(calibration.frames)),
@@ -53,8 +60,24 @@ def print_calibration(
     ):
         table.add_row(name, value)
     console.print(table)
+    if poses:
+        _print_poses(console, poses)
     for warning in calibration.warnings:
         console.print(f'warning: {warning}', markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_poses(console: Console, poses: Mapping[str, CameraPose]) -> None:
+    """Print where the cameras stand that had no extrinsics."""
+    table = _table('placed', 'x y z in the world, m', 'sigma deg', 'body mm', 'place mm')
+    for name, pose in poses.items():
+        table.add_row(
+            name,
+            ' '.join(f'{v:.4f}' for v in pose.world_T_camera.translation),
+            f'{pose.sigma_rotation_deg:.3f}',
+            f'{1000 * pose.sigma_position_m:.1f}',
+            f'{1000 * pose.sigma_centre_m:.1f}',
+        )
+    console.print(table)
 
 
 def _camera_row(fit: GroupFit) -> tuple[str, ...]:

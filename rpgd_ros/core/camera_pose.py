@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,15 @@ class CameraPose:
         return self.camera_T_world.inverse()
 
     @property
+    def world_covariance(self) -> Array:
+        """(6, 6) of `world_T_camera` by (d_rot, d_t), along the axes of the world."""
+        back = self.camera_T_world.rotation.T
+        jacobian = -np.kron(np.eye(2), back)
+        jacobian[3:, :3] = -back @ skew(self.camera_T_world.translation)
+        moved: Array = jacobian @ self.covariance @ jacobian.T
+        return moved
+
+    @property
     def sigma_rotation_deg(self) -> float:
         """Standard deviation of the rotation (root of the summed variances), degrees."""
         return float(np.degrees(np.sqrt(np.trace(self.covariance[:3, :3]))))
@@ -40,12 +50,13 @@ class CameraPose:
     def sigma_position_m(self) -> float:
         """Standard deviation, before the camera, of a point at the body's centre, metres."""
         lever = self.camera_T_world.rotation @ self.centroid_world
-        return self._sigma_m(np.hstack([-skew(lever), np.eye(3)]))
+        jacobian = np.hstack([-skew(lever), np.eye(3)])
+        return float(np.sqrt(np.trace(jacobian @ self.covariance @ jacobian.T)))
 
     @property
     def sigma_centre_m(self) -> float:
         """Standard deviation of the camera's own place in the world, metres."""
-        return self._sigma_m(np.hstack([skew(self.camera_T_world.translation), np.eye(3)]))
+        return float(np.sqrt(np.trace(self.world_covariance[3:, 3:])))
 
     def turned(self, new_R_old: Array) -> CameraPose:
         """Return the pose of a frame that is turned against the camera's."""
@@ -56,8 +67,16 @@ class CameraPose:
             self.centroid_world,
         )
 
-    def _sigma_m(self, jacobian: Array) -> float:
-        return float(np.sqrt(np.trace(jacobian @ self.covariance @ jacobian.T)))
+
+def is_mocap_world(poses: Mapping[str, CameraPose], covariance: Array) -> bool:
+    """Whether a calibration found cameras in the MoCap frame, which then is the world.
+
+    Args:
+        poses: `Calibration.camera_poses`.
+        covariance: Its covariance: an identity by definition has none.
+
+    """
+    return bool(poses) and not covariance.any()
 
 
 def through_world(

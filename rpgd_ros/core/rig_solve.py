@@ -72,7 +72,8 @@ def calibrate_cameras(
         InputError: Cameras and observations do not fit together.
 
     """
-    if len(cameras) != len(observations.views) or len({c.name for c in cameras}) < len(cameras):
+    n_names = len({c.name for c in cameras})
+    if not n_names or n_names < len(cameras) or len(cameras) != len(observations.views):
         msg = (
             f'need one camera per view, of different names; got {len(observations.views)} views '
             f'for {", ".join(c.name for c in cameras) or "no camera"}'
@@ -172,7 +173,5 @@ def _assembled(
 def _all_refused(refused: Mapping[str, CalibrationError]) -> CalibrationError:
     """Return one refusal for all cameras, with the reason that most of them have."""
     reason = Counter(error.reason for error in refused.values()).most_common(1)[0][0]
-    worst = next(error for error in refused.values() if error.reason == reason)
     told = '; '.join(f'camera {name}: {error.message}' for name, error in refused.items())
-    msg = f'no camera could be placed: {told}' if refused else 'no cameras'
-    return CalibrationError(reason, msg, calibration=worst.calibration)
+    return CalibrationError(reason, f'no camera could be placed: {told}')

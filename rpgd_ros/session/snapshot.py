@@ -78,6 +78,14 @@ class Snapshot:
             for c in self.cameras
         )
 
+    def settled(self, poses: Mapping[str, CameraPose]) -> Snapshot:
+        """Return the snapshot with the poses that a solve found, less cameras without any."""
+        pairs = zip(self.placed(poses), self.keypoints, strict=True)
+        kept = [(c, k) for c, k in pairs if c.name not in self.turns or c.name in poses]
+        return replace(
+            self, cameras=tuple(c for c, _ in kept), keypoints=tuple(k for _, k in kept), turns={}
+        )
+
     @cached_property
     def observations(self) -> Observations:
         """The pairs, one view per camera, stamped on the MoCap's clock; made when first asked."""
