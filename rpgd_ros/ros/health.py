@@ -101,8 +101,8 @@ def calibration_status(
     if accepted is not None:
         values |= figures(accepted)
     level, message = _verdict(last, is_published=not math.isnan(age_s))
-    if n_errors and level == OK:
-        level, message = WARN, f'{n_errors} internal errors, see the log'
+    if n_errors:
+        level, message = max(level, WARN), f'{n_errors} internal errors, see the log; {message}'
     return status('calibration', level, message, values)
 
 

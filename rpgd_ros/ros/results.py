@@ -15,6 +15,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.atomic import remove_leftovers
+from rpgd_ros.io.backups import utc
 from rpgd_ros.io.result_file import read_result, write_result
 from rpgd_ros.ros.transforms import Published, TransformOutput
 from rpgd_ros.ros.worker import Worker
@@ -185,7 +186,8 @@ class Results:
             message = f'nothing is published from the result file: {error.message}'
             self._node.get_logger().warning(message)
         else:
-            message = f'published the transform of {self.path}'
+            found = utc(round(self._found_s * NS_PER_S))
+            message = f'published the transform of {self.path}, found {found}'
             self._node.get_logger().info(message)
 
     def publish_error(self, error_px: float) -> None:

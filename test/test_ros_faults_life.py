@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The life of the node's process under fire: signals, kills, restarts, exceptions, full disks."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from fault_report import Measured, repeats, within
+from geometry_msgs.msg import TransformStamped
+from harness import Child
+from ros_live import WAIT_S, Live, answered_bits, bits, live
+from ros_scene import Scene, make_scene
+
+from rpgd_ros.io.result_file import read_result
+from rpgd_ros.ros.client import NODE
+from rpgd_ros.ros.domain import free_domain
+
+FAULTY = str(Path(__file__).with_name('faulty_calibrator.py'))
+END_S = 2.0
+
+
+@pytest.fixture(scope='module')
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Return eight seconds of a walk before four cameras."""
+    return make_scene(tmp_path_factory.mktemp('walk'))
+
+
+@pytest.fixture
+def rig(walk: Scene, tmp_path: Path) -> Path:
+    """Return the rig file of the walk in a folder of the test's own."""
+    path = tmp_path / 'rig.yaml'
+    path.write_bytes(walk.rig.read_bytes())
+    return path
+
+
+def temporary_files(folder: Path) -> list[str]:
+    """Return the names of what an interrupted save would leave."""
+    return [path.name for path in folder.iterdir() if path.name.endswith('.tmp')]
+
+
+def end(child: Child, number: signal.Signals) -> float:
+    """End a node with a signal; return how long it took."""
+    start = time.monotonic()
+    assert child.end(number, seconds=WAIT_S) == 0, child.output
+    return time.monotonic() - start
+
+
+@pytest.mark.parametrize(
+    'number',
+    [
+        pytest.param(signal.SIGTERM, marks=pytest.mark.fault(1)),
+        pytest.param(signal.SIGINT, marks=pytest.mark.fault(2)),
+    ],
+)
+def test_signal_in_a_save_leaves_a_whole_file(
+    walk: Scene, rig: Path, number: signal.Signals, measured: Measured
+) -> None:
+    """In the backup or in the result itself: the node finishes what it writes and ends."""
+    path = rig.parent / 'result.yaml'
+    for n in range(repeats(10, 2)):
+        before = read_result(path).stamp_ns if path.exists() else 0
+        with live(rig, program=[FAULTY, 'slow_disk']) as node:
+            node.play(walk)
+            assert node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S) is not None
+            # The first file written is the backup where there is something to back up.
+            node.child.wait_for('(saving\n.*){%d}' % (1 + n % 2 * bool(before)), seconds=WAIT_S)  # noqa: UP031
+            seconds = end(node.child, number)
+            assert seconds < within(END_S)
+            assert 'Traceback' not in node.child.output
+        measured('end', seconds, 's')
+        assert read_result(path).stamp_ns >= before
+        assert not temporary_files(rig.parent)
+
+
+@pytest.mark.fault(5)
+def test_killed_node_is_answered_again_and_keeps_its_result(
+    walk: Scene, rig: Path, measured: Measured
+) -> None:
+    """The dead node's service haunts the domain: a client that tries again gets its answer."""
+    domain = free_domain()
+    with live(rig, domain=domain) as node:
+        node.play(walk)
+        success, answer = node.calibrate()
+        assert success
+        node.child.process.kill()
+    for _ in range(repeats(20, 2)):
+        start = time.monotonic()
+        with live(rig, domain=domain) as node:
+            published = node.latched('transform', TransformStamped)
+            started = time.monotonic() - start
+            assert bits(published) == answered_bits(answer)
+            while (called := node.peer.call(f'{NODE}/calibrate', seconds=1.0)) is None:
+                assert time.monotonic() - start < within(25.0), 'no answer'
+            assert 'no_data' in called.message
+            measured('answered', time.monotonic() - start, 's')
+            measured('published', started, 's')
+            assert started < within(2.0)
+            line = node.child.wait_for('published the transform of .*', seconds=WAIT_S)
+            assert 'result.yaml, found 20' in line.group()
+            node.child.process.kill()
+
+
+def shared_memory(pid: int) -> set[str]:
+    """Return the shared memory that a process uses."""
+    lines = Path(f'/proc/{pid}/maps').read_text().splitlines()
+    return {line.split()[-1] for line in lines if '/dev/shm/' in line}  # noqa: S108
+
+
+def start_and_stop(rig: Path, n_rounds: int, measured: Measured) -> None:
+    """Start, call and end a node many times; what stays of it after the first round stays few."""
+    used: set[str] = set()
+    left: list[int] = []
+    domain = free_domain()
+    for n in range(n_rounds):
+        with live(rig, domain=domain) as node:
+            assert node.calibrate()[1]['reason'] == 'no_data'
+            used |= shared_memory(node.child.process.pid)
+            seconds = end(node.child, (signal.SIGINT, signal.SIGTERM)[n % 2])
+        left.append(sum(Path(name).exists() for name in used))
+        measured('end', seconds, 's')
+        assert seconds < within(3.0)
+    assert used
+    measured('shared memory', max(left) - left[0], 'entries more', n=n_rounds)
+    assert max(left) - left[0] <= 2
+
+
+@pytest.mark.fault(6)
+def test_node_starts_and_stops_again_and_again(rig: Path, measured: Measured) -> None:
+    """Each round ends with code 0; `long_ros_faults.py` does a hundred."""
+    start_and_stop(rig, repeats(10, 2), measured)
+
+
+@pytest.mark.fault(7)
+def test_exception_in_a_callback_is_counted_and_survived(
+    walk: Scene, rig: Path, measured: Measured
+) -> None:
+    """One batch of ten raises: the node says how often, warns, and calibrates from the rest."""
+    with live(rig, program=[FAULTY, 'faulty_session']) as node:
+        node.play(walk)
+        said = time.monotonic()
+        n_raised = node.child.output.count('raised\n')
+        assert n_raised > 3
+
+        def is_counted() -> bool:
+            counted = node.peer.diagnostics('calibration').get('internal_errors', '0')
+            return int(counted) == node.child.output.count('raised\n')
+
+        node.wait_until('not counted', is_counted)
+        node.wait_until(
+            'no warning', lambda: 'internal error' in node.peer.message('calibration') or None
+        )
+        measured('told', time.monotonic() - said, 's', n=n_raised)
+        assert time.monotonic() - said < within(2.0)
+        success, _ = node.calibrate()
+        assert success
+        node.wait_until('no warning', lambda: 'internal error' in node.peer.message('calibration'))
+        assert node.child.output.count('internal error') <= 2  # the log is not flooded
+
+
+def save_is_refused(node: Live, words: str) -> None:
+    """Calibrate; the answer says why the result could not be saved."""
+    success, answer = node.calibrate()
+    assert success
+    assert words in answer['message'], answer
+
+
+@pytest.mark.fault(24)
+def test_result_that_cannot_be_saved_is_kept_until_it_can(
+    walk: Scene, rig: Path, measured: Measured
+) -> None:
+    """No space, no folder, a link in its place: said with the system's words, saved afterwards."""
+    path = rig.parent / 'kept' / 'result.yaml'
+    with live(rig, f'result_file:={path}') as node:
+        node.play(walk)
+        assert node.calibrate()[0]
+        pid, old = node.child.process.pid, path.read_bytes()
+        before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (1000, before[1]))
+        save_is_refused(node, 'File too large')
+        assert path.read_bytes() == old
+        assert not temporary_files(path.parent)
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+        assert node.call('save').success
+        assert path.read_bytes() != old
+
+        aside = path.parent.rename(rig.parent / 'aside')
+        path.parent.write_text('a file in place of the folder')
+        save_is_refused(node, 'File exists')
+        path.parent.unlink()
+        assert node.call('save').success  # the folder is made again
+
+        path.unlink()
+        path.symlink_to(aside / 'result.yaml')
+        elsewhere = (aside / 'result.yaml').read_bytes()
+        save_is_refused(node, 'symbolic link')
+        assert (aside / 'result.yaml').read_bytes() == elsewhere
+        path.unlink()
+        assert node.call('save').success
+        assert read_result(path).world_frame
+        measured('3 kinds told and saved later', n=3)
