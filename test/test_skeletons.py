@@ -29,6 +29,11 @@ SIZES = {
     'azure32': 32,
     'mediapipe33': 33,
     'plug_in_gait': 12,
+    'openpose18': 18,
+    'hri18': 18,
+    'zed34': 34,
+    'zed38': 38,
+    'xsens23': 23,
 }
 # Indices that the publications' own code uses.
 PUBLISHED = {
@@ -71,6 +76,11 @@ PUBLISHED = {
         'right_foot_index': 32,
     },
     'plug_in_gait': {'LHipJC': 0, 'RWristJC': 11},
+    'openpose18': {'Neck': 1, 'RHip': 8, 'REye': 14, 'LEye': 15, 'REar': 16, 'LEar': 17},
+    'hri18': {'NECK': 1, 'RIGHT_HIP': 8, 'LEFT_EYE': 14, 'RIGHT_EYE': 15, 'RIGHT_EAR': 17},
+    'zed34': {'NECK': 3, 'RIGHT_CLAVICLE': 11, 'LEFT_HIP': 18, 'HEAD': 26, 'RIGHT_HEEL': 33},
+    'zed38': {'NECK': 4, 'LEFT_SHOULDER': 12, 'RIGHT_HIP': 19, 'RIGHT_HEEL': 29},
+    'xsens23': {'pelvis': 0, 'right_upper_arm': 8, 'left_hand': 14, 'left_toe': 22},
 }
 
 every_convention = pytest.mark.parametrize('convention', CONVENTIONS)

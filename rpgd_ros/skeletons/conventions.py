@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from rpgd_ros.skeletons import tables
+from rpgd_ros.skeletons import tables, trackers
 
 NONE = '-'
 SIDES = {'left': 'l', 'right': 'r'}
@@ -60,11 +60,18 @@ def _read(convention: str, table: str) -> tuple[_Joint, ...]:
 
 
 _TABLES: Mapping[str, tuple[_Joint, ...]] = {
-    name: _read(name, getattr(tables, name.upper()))
-    for name in (
-        *('coco17', 'body25', 'halpe26', 'h36m17', 'h36m32', 'mpi28', 'kinect20', 'azure32'),
-        *('mediapipe33', 'plug_in_gait'),
+    name: _read(name, getattr(source, name.upper()))
+    for source, names in (
+        (
+            tables,
+            (
+                *('coco17', 'body25', 'halpe26', 'h36m17', 'h36m32', 'mpi28', 'kinect20'),
+                *('azure32', 'mediapipe33', 'plug_in_gait'),
+            ),
+        ),
+        (trackers, ('openpose18', 'hri18', 'zed34', 'zed38', 'xsens23')),
     )
+    for name in names
 }
 
 CONVENTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
