@@ -7,6 +7,7 @@ import contextlib
 import random
 import resource
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -183,6 +184,7 @@ def fuzz(target: Target, seed: int, *, n_inputs: int = 0, seconds: float = 0.0) 
 
     """
     end = time.monotonic() + seconds
+    warnings.simplefilter('error', RuntimeWarning)  # numpy's, of numbers that went wrong
     slowest_s, before_mib = 0.0, peak_mib()
     for i in numbers(n_inputs):
         start = time.monotonic()

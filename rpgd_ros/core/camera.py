@@ -18,6 +18,8 @@ from rpgd_ros.core.lens import Lens, Model, distort, undistort
 PINHOLE_LENGTHS = (0, 4, 5, 8)
 EQUIDISTANT_LENGTHS = (0, 4)
 MIN_DEPTH = 1e-6  # metres in front of the camera: nearer, the quotient x / z has no digits left
+# Beyond all lenses and images, yet far from where the numbers of a solve would overflow.
+MIN_FOCAL_PX, MAX_MATRIX_PX, MAX_COEFFICIENT = 1e-3, 1e7, 1e6
 LARGEST_RADIUS2 = 1e24  # of x / z and y / z, squared: 1000 km at that depth; beyond it is damage
 
 
@@ -127,6 +129,11 @@ def _check_intrinsics(name: str, model: str, matrix: Array, distortion: Array) -
     if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0:
         msg = f'camera {name}: focal lengths must be positive: is the camera calibrated?'
         raise ValueError(msg)
+    if min(matrix[0, 0], matrix[1, 1]) < MIN_FOCAL_PX or np.abs(matrix).max() > MAX_MATRIX_PX:
+        msg = (
+            f'camera {name}: the intrinsic matrix is of no camera: {np.diag(matrix)[:2]} px focal'
+        )
+        raise ValueError(msg)
     if matrix[0, 1] != 0.0 or not np.array_equal(matrix[2], [0.0, 0.0, 1.0]):
         msg = f'camera {name}: the intrinsic matrix must be [fx 0 cx; 0 fy cy; 0 0 1] (no skew)'
         raise ValueError(msg)
@@ -139,4 +146,7 @@ def _check_intrinsics(name: str, model: str, matrix: Array, distortion: Array) -
             f'camera {name}: model {model} takes {" or ".join(map(str, lengths))} finite '
             f'distortion coefficients, got {distortion.size}'
         )
+        raise ValueError(msg)
+    if np.abs(distortion).max(initial=0.0) > MAX_COEFFICIENT:
+        msg = f'camera {name}: a distortion of {np.abs(distortion).max():.3g} is of no lens'
         raise ValueError(msg)
