@@ -65,12 +65,13 @@ class Engine:
         if isinstance(snapshot, Exception):
             outcome = self._refusal(snapshot)
         else:
-            frames = self.results.frames(self.session.mocap_frame)
+            frames = self.results.frames(self.session.mocap_frame, self.session.optical_frames())
             job = partial(
                 run,
                 snapshot,
                 frames,
                 self.results.pose,
+                published_cameras=self.results.camera_poses,
                 save=partial(self.results.write, frames, self._worker),
                 progress=self._on_progress,
                 should_stop=self._worker.should_stop,

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from rpgd_ros.core.camera_pose import is_mocap_world
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.pairing import PairCounts
 from rpgd_ros.ros.inputs import Health
@@ -159,6 +160,14 @@ def sentence(
 
 def in_short(calibration: Calibration) -> str:
     """Return the figures of a calibration that a person wants to hear."""
+    poses = calibration.camera_poses
+    if is_mocap_world(poses, calibration.covariance):
+        worst = max(poses, key=lambda name: poses[name].sigma_position_m)
+        return (
+            f'{len(poses)} cameras placed in the MoCap frame, {calibration.median_px:.1f} px '
+            f'(median), {worst} the least certain: {poses[worst].sigma_rotation_deg:.2f} deg and '
+            f'{poses[worst].sigma_position_m * 1e3:.1f} mm'
+        )
     return (
         f'{calibration.median_px:.1f} px (median), uncertain by '
         f'{calibration.sigma_rotation_deg:.2f} deg and {calibration.sigma_position_m * 1e3:.1f} mm'

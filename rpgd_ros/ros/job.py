@@ -11,12 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rpgd_ros.core.camera_pose import CameraPose
 from rpgd_ros.core.errors import CalibrationError, Reason, RpgdError
 from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.core.result import Calibration
+from rpgd_ros.io.frames import Frames
 from rpgd_ros.session import Snapshot, solve
 
 ACCEPTED = 'accepted'
+NO_FRAMES = Frames('', '')
+NO_CAMERAS: Mapping[str, CameraPose] = {}
 RECENT_NS = 10_000_000_000  # of the error that is published to make drift visible
 
 
@@ -28,7 +32,7 @@ class Outcome:
         reason: `ACCEPTED`, or the code of the refusal.
         message: What was found, needed, and what to do; of an accepted run, why it could not be
             saved, or ''.
-        frames: World and MoCap frame of an accepted run.
+        frames: Names of the frames of an accepted run.
         seconds: Duration.
         calibration: The accepted calibration, or None.
         recent_px: Mean error of the pose that is published now over the newest data, pixels; NaN
@@ -38,7 +42,7 @@ class Outcome:
 
     reason: str
     message: str
-    frames: tuple[str, str] = ('', '')
+    frames: Frames = NO_FRAMES
     seconds: float = math.nan
     calibration: Calibration | None = None
     recent_px: float = math.nan
@@ -55,9 +59,10 @@ STOPPING = Outcome(Reason.CANCELLED, 'the node is shutting down')
 
 def run(
     snapshot: Snapshot,
-    frames: tuple[str, str],
+    frames: Frames,
     published: RigidTransform | None,
     *,
+    published_cameras: Mapping[str, CameraPose] = NO_CAMERAS,
     save: Callable[[Calibration], None],
     progress: Callable[[str, float], None],
     should_stop: Callable[[], bool],
@@ -66,8 +71,9 @@ def run(
 
     Args:
         snapshot: Data and settings.
-        frames: World and MoCap frame.
+        frames: Their names.
         published: The pose that stands on the topics now, if any.
+        published_cameras: The poses of placed cameras that stand there.
         save: Writes the result file.
         progress: Told the stage and its fraction done.
         should_stop: Asked whether to end early.
@@ -88,16 +94,29 @@ def run(
             reason, message = error.reason, error.message
         else:
             message = f'the result could not be saved: {error.message}'
-    pose = calibration.world_T_mocap if calibration is not None else published
-    recent = math.nan if pose is None else recent_error_px(snapshot, pose)
+    pose, poses = published, published_cameras
+    if calibration is not None:
+        pose, poses = calibration.world_T_mocap, calibration.camera_poses
+    recent = math.nan if pose is None else recent_error_px(snapshot, pose, poses)
     return Outcome(reason, message, frames, time.monotonic() - start, calibration, recent)
 
 
-def recent_error_px(snapshot: Snapshot, world_T_mocap: RigidTransform) -> float:
-    """Return the mean residual of a pose (eq. 7) over the newest data, pixels; NaN without any."""
+def recent_error_px(
+    snapshot: Snapshot,
+    world_T_mocap: RigidTransform,
+    poses: Mapping[str, CameraPose] = NO_CAMERAS,
+) -> float:
+    """Return the mean residual of a pose (eq. 7) over the newest data, pixels; NaN without any.
+
+    Args:
+        snapshot: The data.
+        world_T_mocap: The pose.
+        poses: Of the cameras that were placed; those without any are left out.
+
+    """
     total, count = 0.0, 0
-    for camera, view in zip(snapshot.cameras, snapshot.observations.views, strict=True):
-        if view.stamp_ns is None or not len(view.stamp_ns):
+    for camera, view in zip(snapshot.placed(poses), snapshot.observations.views, strict=True):
+        if camera.camera_T_world is None or view.stamp_ns is None or not len(view.stamp_ns):
             continue
         recent = view.stamp_ns > view.stamp_ns[-1] - RECENT_NS
         x, uv = view.x_mocap[recent], view.uv[recent]
@@ -120,8 +139,8 @@ def answer(outcome: Outcome) -> str:
         {
             'reason': ACCEPTED,
             'message': outcome.message,
-            'world_frame': outcome.frames[0],
-            'mocap_frame': outcome.frames[1],
+            'world_frame': outcome.frames.world,
+            'mocap_frame': outcome.frames.mocap,
             'xyz': c.world_T_mocap.translation.tolist(),
             'quat_xyzw': c.world_T_mocap.quat_xyzw.tolist(),
             **figures(c),
@@ -133,6 +152,14 @@ def answer(outcome: Outcome) -> str:
                     'correspondences': int(fit.correspondences),
                 }
                 for name, fit in c.per_camera.items()
+            },
+            'camera_poses': {
+                name: {
+                    'frame': outcome.frames.optical_frame(name),
+                    'xyz': pose.world_T_camera.translation.tolist(),
+                    'quat_xyzw': pose.world_T_camera.quat_xyzw.tolist(),
+                }
+                for name, pose in c.camera_poses.items()
             },
             'warnings': list(c.warnings),
         }
@@ -154,6 +181,9 @@ def figures(calibration: Calibration) -> dict[str, object]:
     }
     for camera, (offset_s, _) in calibration.time_offset_s.items():
         values[f'time_offset_ms {camera}'] = float(offset_s) * 1e3
+    for camera, pose in calibration.camera_poses.items():
+        values[f'sigma_rotation_deg {camera}'] = pose.sigma_rotation_deg
+        values[f'sigma_position_m {camera}'] = pose.sigma_position_m
     return values
 
 

@@ -6,17 +6,20 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from rclpy.node import Node
 
+from rpgd_ros.core.camera_pose import CameraPose
 from rpgd_ros.core.errors import InputError, Reason
-from rpgd_ros.core.geometry import Array, RigidTransform
+from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.atomic import remove_leftovers
 from rpgd_ros.io.backups import utc
-from rpgd_ros.io.result_file import read_result, write_result
+from rpgd_ros.io.frames import Frames
+from rpgd_ros.io.result_file import StoredResult, read_result, write_result
 from rpgd_ros.ros.transforms import Published, TransformOutput
 from rpgd_ros.ros.worker import Worker
 
@@ -26,15 +29,13 @@ DEFAULT_MOCAP_FRAME = 'mocap'  # where neither rig file nor messages name one
 MAX_HISTORY = 10  # accepted calibrations of this process that ~/revert can go back through
 NS_PER_S = 1_000_000_000
 
-Frames = tuple[str, str]
-
 
 class Accepted(NamedTuple):
     """One accepted calibration.
 
     Attributes:
         calibration: What was found.
-        frames: World and MoCap frame.
+        frames: Their names.
         found_ns: When, by the wall clock.
 
     """
@@ -88,9 +89,14 @@ class Results:
         """Time since the published pose was found, NaN where none is published."""
         return time.time() - self._found_s
 
-    def frames(self, mocap_frame: str) -> Frames:
-        """Return parent and child frame, given the MoCap frame as far as it is known."""
-        return self._world_frame, mocap_frame or DEFAULT_MOCAP_FRAME
+    @property
+    def camera_poses(self) -> Mapping[str, CameraPose]:
+        """Published poses of the cameras that were placed, by camera."""
+        return {} if self._published is None else self._published.cameras
+
+    def frames(self, mocap_frame: str, optical: Mapping[str, str]) -> Frames:
+        """Return the names of all frames, given the MoCap frame as far as it is known."""
+        return Frames(self._world_frame, mocap_frame or DEFAULT_MOCAP_FRAME, optical)
 
     def accept(self, calibration: Calibration, frames: Frames) -> None:
         """Publish an accepted calibration."""
@@ -124,7 +130,7 @@ class Results:
         """Write the result file; for the worker's thread.
 
         Args:
-            frames: World and MoCap frame.
+            frames: Their names.
             worker: Keeps the process alive meanwhile.
             calibration: What was found.
             found_ns: When; None = now.
@@ -138,9 +144,10 @@ class Results:
             write_result(
                 self.path,
                 calibration,
-                world_frame=frames[0],
-                mocap_frame=frames[1],
+                world_frame=frames.world,
+                mocap_frame=frames.mocap,
                 stamp_ns=found_ns or time.time_ns(),
+                optical_frames=frames.optical,
             )
 
     def write_again(self, worker: Worker) -> None:
@@ -171,8 +178,8 @@ class Results:
                 f'{self._world_frame!r}: calibrate anew, or set result_file'
             )
             raise InputError(Reason.BAD_RESULT_FILE, msg)
-        frames = (stored.world_frame, stored.mocap_frame)
-        self._publish(frames, stored.world_T_mocap, stored.covariance, found_ns=stored.stamp_ns)
+        frames = Frames(stored.world_frame, stored.mocap_frame, stored.optical_frames)
+        self._publish(frames, stored, found_ns=stored.stamp_ns)
         self._output.publish_error(stored.mpjpe_px)
 
     def load_at_start(self) -> None:
@@ -196,17 +203,19 @@ class Results:
 
     def _publish_newest(self) -> None:
         calibration, frames, found_ns = self._history[-1]
-        self._publish(frames, calibration.world_T_mocap, calibration.covariance, found_ns=found_ns)
+        self._publish(frames, calibration, found_ns=found_ns)
 
     def _publish(
-        self, frames: Frames, world_T_mocap: RigidTransform, covariance: Array, *, found_ns: int
+        self, frames: Frames, found: Calibration | StoredResult, *, found_ns: int
     ) -> None:
         self._published = Published(
-            world_frame=frames[0],
-            mocap_frame=frames[1],
-            world_T_mocap=world_T_mocap,
-            covariance=covariance,
+            world_frame=frames.world,
+            mocap_frame=frames.mocap,
+            world_T_mocap=found.world_T_mocap,
+            covariance=found.covariance,
             stamp_ns=self._node.get_clock().now().nanoseconds,
+            cameras=found.camera_poses,
+            optical_frames={name: frames.optical_frame(name) for name in found.camera_poses},
         )
         self._found_s = found_ns / NS_PER_S
         self._output.publish(self._published)
