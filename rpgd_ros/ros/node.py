@@ -140,8 +140,14 @@ class CalibratorNode(Node):
     def _on_joints(
         self, stream: str, msg_type: str, payloads: Sequence[bytes], receive_ns: Sequence[int]
     ) -> None:
-        if self._is_enabled:
-            self._engine.session.add(stream, msg_type, payloads, receive_ns)
+        if not self._is_enabled:
+            return
+        session = self._engine.session
+        n_epochs = session.n_epochs
+        session.add(stream, msg_type, payloads, receive_ns)
+        if session.n_epochs != n_epochs:
+            message = f'the clock of {stream} jumped back: all streams start over'
+            Node.get_logger(self).warning(message)
 
     async def _on_auto(self) -> None:
         n_received = sum(joints.n_received for joints in self._joints)
