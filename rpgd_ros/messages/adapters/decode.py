@@ -30,10 +30,15 @@ from rpgd_ros.messages.adapters.mocap import (
     read_rigid_bodies,
 )
 from rpgd_ros.messages.adapters.people import Asked, People, Person
+from rpgd_ros.messages.batch import Decoded, JointBatch, crowd_batch
 from rpgd_ros.messages.cdr import MAX_MESSAGE_BYTES, CdrError
-from rpgd_ros.messages.joints import Decoded, JointBatch, decode_joints
+from rpgd_ros.messages.joints import decode_joints
 from rpgd_ros.messages.layout import JOINT_TYPES, Drop, DropError
+from rpgd_ros.messages.parse import MAX_PERSONS
 
+# An empty sequence: all there is of a message that begins with its list and has nobody in it.
+EMPTY: Final = bytes(4)
+LISTS: Final = frozenset({types.MARKER_ARRAY, types.OPENPOSE_LIST})
 NO_HEADER: Final = 'no_header'  # counted: messages stamped with their arrival
 
 
@@ -79,6 +84,8 @@ def decode_people(msgtype: str, payload: bytes, asked: Asked) -> People:
         raise DropError(Drop.WRONG_TYPE)
     if len(payload) > MAX_MESSAGE_BYTES:
         raise DropError(Drop.OVERSIZED)
+    if msgtype in LISTS and payload[4:] == EMPTY:
+        raise DropError(Drop.NOBODY)
     try:
         return adapter.read(Cursor(payload), asked)
     except (CdrError, struct.error) as error:
@@ -127,7 +134,7 @@ def decode(
     dropped: dict[str, int] = {}
     index: list[int] = []
     stamps: list[int] = []
-    persons: list[Person] = []
+    crowds: list[tuple[Person, ...]] = []
     n_headless = 0
     for i, payload in enumerate(payloads):
         try:
@@ -140,38 +147,45 @@ def decode(
         n_headless += not people.has_header
         index.append(i)
         stamps.append(people.stamp_ns if people.has_header else int(receive_ns[i]))
-        persons.append(people.persons[0])
+        crowds.append(people.persons)
     missing = {NO_HEADER: n_headless} if n_headless else {}
-    if not persons:
+    if not crowds:
         return Decoded(None, dropped, missing)
-    values = np.stack([person.values for person in persons])
+    head = np.array(index), np.array(stamps), frame_id or ''
+    values, scores = _stacked(crowds)
     _clear_missing(values, zero_is_missing=zero_is_missing, missing=missing)
-    batch = JointBatch(
-        np.array(index), np.array(stamps), frame_id or '', values, _confidence(persons)
-    )
+    if values.shape[1] > 1:
+        return Decoded(crowd_batch(head, values, scores), dropped, missing)
+    batch = JointBatch(*head, values[:, 0], None if scores is None else scores[:, 0])
     return Decoded(batch, dropped, missing)
 
 
+def _stacked(crowds: Sequence[tuple[Person, ...]]) -> tuple[Array, Array | None]:
+    """Return values (B, P, J, C) and scores (B, P, J), NaN where a message has fewer persons."""
+    n_persons = min(max(len(crowd) for crowd in crowds), MAX_PERSONS)
+    first = crowds[0][0]
+    values = np.full((len(crowds), n_persons, *first.values.shape), np.nan)
+    scores = np.full(values.shape[:3], np.nan)
+    for i, crowd in enumerate(crowds):
+        for p, person in enumerate(crowd[:n_persons]):
+            values[i, p] = person.values
+            if person.confidence is not None:
+                scores[i, p] = person.confidence
+    return values, None if first.confidence is None else scores
+
+
 def _check(people: People, frame_id: str | None, *, needs_stamp: bool) -> None:
-    if len(people.persons) > 1:
-        raise DropError(Drop.SEVERAL_PERSONS)
     if needs_stamp and people.has_header and not people.stamp_ns:
         raise DropError(Drop.ZERO_STAMP)
     if frame_id is not None and people.frame_id != frame_id:
         raise DropError(Drop.FRAME_CHANGED)
 
 
-def _confidence(persons: Sequence[Person]) -> Array | None:
-    if persons[0].confidence is None:
-        return None
-    return np.stack([person.confidence for person in persons if person.confidence is not None])
-
-
 def _clear_missing(values: Array, *, zero_is_missing: bool, missing: dict[str, int]) -> None:
     """Make joints missing as a whole that are absent, damaged or zero; count them.
 
     Args:
-        values: (B, J, C), changed in place.
+        values: (B, P, J, C), changed in place.
         zero_is_missing: Whether zero is missing.
         missing: Counts, changed in place.
 

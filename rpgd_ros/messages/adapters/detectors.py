@@ -16,7 +16,7 @@ from rpgd_ros.messages.layout import Drop, DropError
 # Least bytes of an element, which the count of a sequence is checked against.
 _MARKER: Final = 150
 _OBJECT: Final = 1700
-_DETECTION: Final = 200
+_DETECTION: Final = 150
 _KEYPOINT: Final = 28
 
 IDS_PER_BODY: Final = 100  # of Azure Kinect's markers
