@@ -154,6 +154,7 @@ def case_of(run: BagRun, progress: Callable[[str, float], None]) -> Case:
         observations=run.observations,
         calibration=run.calibration,
         refusal=run.refusal,
+        moved_m=run.moved_m,
         streams=run.streams,
         notes=(f'found from partial data: {run.problem}',) if run.problem else (),
         steps=steps,

@@ -13,7 +13,9 @@ from threading import Event
 from rich.console import Console
 
 from rpgd_ros.apps.progress import one_bar
+from rpgd_ros.core.body import motion_m
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
+from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.observations import Observations
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.recording import Recording, open_recording
@@ -68,6 +70,15 @@ class BagRun:
             for camera, track in zip(self.snapshot.cameras, self.snapshot.keypoints, strict=True)
         )
         return replace(self.snapshot, keypoints=tracks).observations
+
+    @property
+    def moved_m(self) -> float:
+        """Distance that the body covered, as the gates count it, metres; NaN where unknown."""
+        if self.snapshot is None:
+            return float('nan')
+        views = self.snapshot.observations.views
+        pairs = zip(self.snapshot.cameras, views, strict=True)
+        return motion_m([Sight(camera, view) for camera, view in pairs if view.n_frames])
 
     @property
     def streams(self) -> tuple[StreamCount, ...]:

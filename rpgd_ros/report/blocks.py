@@ -85,7 +85,8 @@ class Figure:
         caption: What it shows.
         traces: Plotly's data.
         layout: Plotly's layout.
-        height: Pixels on a wide screen.
+        height: Pixels, at most where a ratio is given.
+        ratio: Width over height of an image; 0 = the height is fixed.
 
     """
 
@@ -94,6 +95,7 @@ class Figure:
     traces: Traces
     layout: Mapping[str, Any]
     height: int = 320
+    ratio: float = 0.0
     kind: str = 'figure'
 
 

@@ -25,11 +25,12 @@ from rpgd_ros.report.blocks import (
 )
 from rpgd_ros.report.instants import instants, over_image
 from rpgd_ros.report.measure import Look, Measured
-from rpgd_ros.report.verdict import camera_key
+from rpgd_ros.report.verdict import camera_key, said_of
 
 CELLS = 18  # of the longer side of the image: a keypoint every few in a minute of walking
 MIN_IN_CELL = 3  # keypoints of which a cell says the median
 ARROW_CELLS = 1.2  # length of the longest arrow
+MOST_OF_WIDTH = 0.25  # of an image; a residual beyond is that of another thing
 CLIP = 3.0  # times the usual cell: what is beyond has the last colour and the longest arrow
 BINS = 60
 TAIL = 4.0  # times the threshold: a histogram ends there, what is beyond stands in its last bar
@@ -77,7 +78,7 @@ def _blocks(measured: Measured, look: Look) -> Iterator[Block]:
     key = camera_key(measured, look.camera.name)
     c = measured.case.calibration
     said = [
-        Link(d.sentence())
+        Link(said_of(d))
         for d in (c.disagreements if c else ())
         if look.camera.name in {d.camera, d.rival}
     ]
@@ -137,7 +138,8 @@ def _residual_map(look: Look, key: str) -> Figure:
         f'{number(scale, 0)} times as long. Noise has no direction; a moved camera or a wrong '
         'lens gives a pattern.'
     )
-    return Figure(f'{key}-residuals', text, traces, over_image(look.camera.size, None), 300)
+    layout, ratio = over_image(look.camera.size, None), _ratio(look)
+    return Figure(f'{key}-residuals', text, traces, layout, 320, ratio)
 
 
 def _coverage(look: Look, key: str) -> Figure:
@@ -148,13 +150,15 @@ def _coverage(look: Look, key: str) -> Figure:
     share = np.isfinite(counts).mean()
     traces = [_heat(counts.reshape(size[::-1]), x, y, 'keypoints', '', 'Viridis')]
     text = f'Coverage: keypoints with a skeleton in {percent(share)} of the image.'
-    layout = over_image(look.camera.size, None)
-    return Figure(f'{key}-coverage', text, traces, layout, 300)
+    layout, ratio = over_image(look.camera.size, None), _ratio(look)
+    return Figure(f'{key}-coverage', text, traces, layout, 320, ratio)
 
 
 def _histogram(look: Look, key: str) -> Figure:
     errors = look.error_px[np.isfinite(look.error_px)]
-    end = TAIL * look.threshold_px
+    # Where hardly anything agrees, up to where most of it is.
+    end = max(TAIL * look.threshold_px, 1.2 * float(np.quantile(errors, 0.9)))
+    end = min(end, MOST_OF_WIDTH * look.camera.size[0])
     n_beyond = int((errors > end).sum())
     counts, bounds = np.histogram(np.minimum(errors, end), BINS, (0.0, end))
     traces = [
@@ -179,6 +183,11 @@ def _histogram(look: Look, key: str) -> Figure:
         f'the last bar holds the {n_beyond} beyond.'
     )
     return Figure(f'{key}-histogram', text, traces, layout, 240)
+
+
+def _ratio(look: Look) -> float:
+    """Width over height of a map, with the place of its scale."""
+    return round(1.15 * look.camera.size[0] / look.camera.size[1], 3)
 
 
 def _grid(look: Look) -> tuple[IntArray, int, tuple[int, int]]:

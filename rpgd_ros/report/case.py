@@ -82,6 +82,7 @@ class Case:
             nothing came together.
         calibration: What was found, refused or not; None where a run ended before.
         refusal: Why nobody should use it; None = accepted.
+        moved_m: Distance that the body covered, metres; NaN where unknown.
         streams: What came in.
         notes: Sentences for people beyond the warnings of the calibration.
         photos: Images by camera, where there are any.
@@ -97,6 +98,7 @@ class Case:
     observations: Observations | None = None
     calibration: Calibration | None = None
     refusal: CalibrationError | None = None
+    moved_m: float = float('nan')
     streams: tuple[StreamCount, ...] = ()
     notes: tuple[str, ...] = ()
     photos: Mapping[str, tuple[Photo, ...]] = field(default_factory=dict)

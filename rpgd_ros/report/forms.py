@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
-import numpy as np
 import yaml
 
 from rpgd_ros.core import Camera, RigidTransform
-from rpgd_ros.core.geometry import Array, so3_log
+from rpgd_ros.io.camera_files import toml_text
 from rpgd_ros.io.result_file import for_other_tools
 from rpgd_ros.report.blocks import Code
 
@@ -51,42 +51,22 @@ def forms(
         Code('vicon_receiver', _yaml(vicon), 'Its parameters: it then publishes in the world.'),
         Code(
             'TOML',
-            cameras_toml(cameras, world_T_mocap),
+            cameras_toml(cameras, world_T_mocap, mocap_frame),
             'The cameras in the MoCap frame, for Pose2Sim, Anipose and their kin.',
         ),
     )
 
 
-def cameras_toml(cameras: Sequence[Camera], world_T_mocap: RigidTransform) -> str:
-    """Return the cameras in the MoCap's frame as aniposelib and Pose2Sim read them.
-
-    Args:
-        cameras: Of the rig; one without a pose is the world itself.
-        world_T_mocap: The transform.
-
-    Returns:
-        TOML; rotations as Rodrigues vectors of `camera_T_mocap`, translations in metres.
-
-    """
-    parts = []
-    for i, camera in enumerate(cameras):
-        camera_T_mocap = (camera.camera_T_world or RigidTransform.identity()) @ world_T_mocap
-        distortion = camera.distortion if camera.distortion.size else np.zeros(4)
-        parts.append(
-            f'[cam_{i}]\n'
-            f'name = {json.dumps(camera.name)}\n'
-            f'size = {json.dumps(list(camera.size))}\n'
-            f'matrix = [{", ".join(_list(row) for row in camera.matrix)}]\n'
-            f'distortions = {_list(distortion)}\n'
-            f'rotation = {_list(so3_log(camera_T_mocap.rotation))}\n'
-            f'translation = {_list(camera_T_mocap.translation)}\n'
-            f'fisheye = {json.dumps(camera.model == "equidistant")}\n'
-        )
-    return '\n'.join([*parts, '[metadata]\nadjusted = false\nerror = 0.0'])
-
-
-def _list(values: Array) -> str:
-    return json.dumps(np.asarray(values, np.float64).tolist())
+def cameras_toml(
+    cameras: Sequence[Camera], world_T_mocap: RigidTransform, mocap_frame: str
+) -> str:
+    """Return the cameras in the MoCap's frame, as aniposelib and Pose2Sim read them."""
+    identity = RigidTransform.identity()
+    moved = [
+        replace(camera, camera_T_world=(camera.camera_T_world or identity) @ world_T_mocap)
+        for camera in cameras
+    ]
+    return toml_text(moved, mocap_frame).rstrip()
 
 
 def _yaml(tree: object) -> str:

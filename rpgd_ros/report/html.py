@@ -94,7 +94,8 @@ def page_of(measured: Measured, verdict: Verdict) -> str:
 def _not_said(case: Case, verdict: Verdict) -> list[str]:
     """Return the warnings that are not among the places to look at already."""
     said = {place.text for place in verdict.places}
-    return [warning for warning in case.warnings if warning not in said]
+    warnings = [warning.replace('+-', '±') for warning in case.warnings]
+    return [warning for warning in warnings if warning not in said]
 
 
 def _figures(sections: Sequence[Section]) -> Iterator[Figure]:

@@ -71,6 +71,7 @@ def _instant(
     if np.isfinite(look.uv[row]).any():
         traces += _drawn(look.uv[row], bones, names, 'MoCap, reprojected', '@made', 6)
     traces += _drawn(seen, bones, names, 'detector', '@seen', 2)
+    traces.append(_apart(seen, look.uv[row]))
     when = (
         f'at {number(look.seconds[row] - measured.start_s, 2, "s")}'
         if measured.has_time
@@ -88,7 +89,9 @@ def _instant(
         _zoom(layout, look.camera.size, np.concatenate([seen, look.uv[row]]))
     layout['legend'] = {'orientation': 'h', 'y': 1.02, 'yanchor': 'bottom', 'x': 0.0}
     layout['margin'] = {'l': 4, 'r': 4, 't': 28, 'b': 4}
-    return Figure(f'{key}-instant-{row}', f'{what}, {when}: {how}.', traces, layout, height=340)
+    ratio = round(look.camera.size[0] / look.camera.size[1] * 0.93, 3)
+    caption = f'{what}, {when}: {how}.'
+    return Figure(f'{key}-instant-{row}', caption, traces, layout, 420, ratio)
 
 
 def _drawn(
@@ -114,6 +117,16 @@ def _drawn(
             'marker': {'color': colour, 'size': 7},
         },
     ]  # fmt: skip
+
+
+def _apart(seen: Array, uv: Array) -> Mapping[str, Any]:
+    """Draw from each keypoint to where the reprojection has its joint."""
+    pairs = np.stack([seen, uv, np.full_like(uv, np.nan)], 1).reshape(-1, 2)
+    return {
+        'type': 'scatter', 'mode': 'lines', 'name': 'apart', 'hoverinfo': 'skip',
+        'x': rounded(pairs[:, 0]), 'y': rounded(pairs[:, 1]),
+        'line': {'color': '@bad', 'width': 1.5, 'dash': 'dot'},
+    }  # fmt: skip
 
 
 def _zoom(layout: dict[str, Any], size: tuple[int, int], uv: Array) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from rpgd_ros.core import Camera, RigidTransform
 from rpgd_ros.core.agreement import LOST_MARGIN
-from rpgd_ros.core.body import motion_m
 from rpgd_ros.core.diagnose import swapped_joints
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 from rpgd_ros.core.linearise import Sight
@@ -196,9 +195,3 @@ def swapped_names(measured: Measured) -> tuple[tuple[str, str], ...]:
     sights = [Sight(look.camera, look.view) for look in measured.looks if len(look.frames)]
     pairs = swapped_joints(sights, c.world_T_mocap, c.threshold_px)
     return tuple((measured.names[a], measured.names[b]) for a, b in pairs)
-
-
-def moved_m(measured: Measured) -> float:
-    """Distance that the body covered, as the gates count it, metres."""
-    sights = [Sight(look.camera, look.view) for look in measured.looks if len(look.frames)]
-    return motion_m(sights) if sights else 0.0

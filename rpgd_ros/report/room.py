@@ -11,7 +11,7 @@ import numpy as np
 from rpgd_ros.core import Camera, RigidTransform
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.report.blocks import Block, Figure, Section, Side, Text, label, number, rounded
-from rpgd_ros.report.measure import Measured, moved_m
+from rpgd_ros.report.measure import Measured
 from rpgd_ros.skeletons import edges
 
 BODIES = 6  # instants at which the skeleton is drawn
@@ -26,7 +26,7 @@ def room(measured: Measured) -> Section | None:
         return None
     case = measured.case
     frame = case.world_frame if case.calibration else case.mocap_frame
-    walked = number(moved_m(measured), 2, 'm')
+    walked = number(case.moved_m, 2, 'm')
     intro = f'Seen in the frame {frame}. The person walked within {walked}.'
     if case.calibration is None:
         intro += ' No transform is known, so only the MoCap side is drawn.'

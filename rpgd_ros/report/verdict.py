@@ -6,11 +6,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
+from rpgd_ros.core.agreement import Disagreement
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.report.blocks import Link, number, percent
-from rpgd_ros.report.measure import Measured, moved_m, swapped_names
+from rpgd_ros.report.measure import Measured, swapped_names
 
+MOST_PAIRS = 3  # named on top of the page
 Kind = Literal['accepted', 'warned', 'refused']
 
 HEADLINES = {
@@ -31,6 +33,11 @@ HEADLINES = {
     Reason.JUMP: 'the transform is far from the one before',
     Reason.CANCELLED: 'the run was ended before it was done',
 }
+
+
+OF_GATES = frozenset({
+    Reason.DEGENERATE_MOTION, Reason.TOO_FEW_INLIERS, Reason.TOO_FEW_FRAMES, Reason.UNCERTAIN,
+})  # fmt: skip
 
 
 class Gate(NamedTuple):
@@ -106,6 +113,11 @@ def camera_key(measured: Measured, name: str) -> str:
     return f'camera-{names.index(name)}' if name in names else 'cameras'
 
 
+def said_of(disagreement: Disagreement) -> str:
+    """Return what a camera says against the others, set for a page."""
+    return disagreement.sentence().replace('+-', '±')
+
+
 def _doubts(measured: Measured, c: Calibration) -> Iterator[str]:
     """Yield what is wrong with cameras of an accepted calibration, as the rest of a line."""
     for d in c.disagreements:
@@ -134,15 +146,20 @@ def _places(measured: Measured) -> Iterator[Link]:
         yield Link('What came in, and what became of it', 'streams')
         return
     if reason in {Reason.DEGENERATE_MOTION, Reason.UNCERTAIN, Reason.DEGENERATE_GEOMETRY}:
-        moved = moved_m(measured)
-        yield Link(f'Where the person walked: within {number(moved, 2, "m")}', 'room')
+        walked = number(case.moved_m, 2, 'm')
+        yield Link(f'Where the person walked: within {walked}', 'room')
     if reason is Reason.SWAPPED_LABELS:
-        for a, b in swapped_names(measured):
+        pairs = swapped_names(measured)
+        for a, b in pairs[:MOST_PAIRS]:
             yield Link(f'{a} lies where {b} should be, and the other way round', 'joints')
+        if len(pairs) > MOST_PAIRS:
+            yield Link(f'So do {len(pairs) - MOST_PAIRS} more pairs', 'joints')
     c = case.calibration
     for d in c.disagreements if c else ():
-        yield Link(d.sentence(), camera_key(measured, d.camera))
+        yield Link(said_of(d), camera_key(measured, d.camera))
     for name, share in measured.lost.items():
+        if name in measured.moved:
+            continue
         text = f'{name} does not see the skeleton in {percent(share)} of its frames'
         yield Link(text, camera_key(measured, name))
     if c is not None and reason is Reason.TOO_FEW_INLIERS:
@@ -155,11 +172,15 @@ def _places(measured: Measured) -> Iterator[Link]:
 
 
 def _gates(measured: Measured) -> Iterator[Gate]:
+    refusal = measured.case.refusal
+    if refusal is not None and refusal.reason not in OF_GATES:
+        headline = HEADLINES.get(refusal.reason, refusal.reason.replace('_', ' '))
+        yield Gate(headline[:1].upper() + headline[1:], 'yes', 'no', is_passed=False)
     c = measured.case.calibration
     if c is None:
         return
     limits = c.config.accept
-    moved = moved_m(measured)
+    moved = measured.case.moved_m
     sigma_deg, sigma_m = c.worst_sigma
     yield Gate(
         'The person walked',
