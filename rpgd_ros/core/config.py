@@ -197,6 +197,16 @@ class AcceptConfig(Stage):
         0.05, "Largest accepted uncertainty of the body's position", unit='m',
         low=0.0, high=100.0, is_live=True,
     )  # fmt: skip
+    # A studio floor or a MoCap origin that was set anew is decimetres or degrees away; two runs on
+    # one walk differ by a tenth of this.
+    max_jump_deg: float = setting(
+        2.0, 'Automatic calibrations turn the published transform by no more; ~/calibrate may',
+        unit='deg', low=0.0, high=180.0, is_live=True,
+    )  # fmt: skip
+    max_jump_m: float = setting(
+        0.1, "Automatic calibrations move the body's position by no more; ~/calibrate may",
+        unit='m', low=0.0, high=100.0, is_live=True,
+    )  # fmt: skip
 
 
 # What the publication does not give (K, tau, steps, rates), with the reason for each of ours.

@@ -43,11 +43,13 @@ class Recent:
         session: Where the messages are.
         offsets_s: How late videos are stamped by the calibration that holds, by camera; for the
             others holds what the rig file says.
+        poses: camera_T_world of the cameras that a calibration has placed.
 
     """
 
     session: Session
     offsets_s: Mapping[str, float] = field(default_factory=dict)
+    poses: Mapping[str, RigidTransform] = field(default_factory=dict)
     _after_ns: dict[str, int] = field(default_factory=dict)
     _n_epochs: int = 0
 
@@ -76,7 +78,7 @@ class Recent:
 
     def _take(self, name: str, source: CameraInput, n_cameras: int) -> Pairs | None:
         rig, sync, mocap, _ = self.session.parts()
-        camera = _placed(source, is_only=n_cameras == 1)
+        camera = _placed(source, self.poses.get(name), is_only=n_cameras == 1)
         stamps = source.store.stamps()
         if camera is None or not len(stamps):
             return None
@@ -101,12 +103,13 @@ class Recent:
         return Pairs(camera, source.frame_id or name, view) if view.n_frames else None
 
 
-def _placed(source: CameraInput, *, is_only: bool) -> Camera | None:
+def _placed(source: CameraInput, found: RigidTransform | None, *, is_only: bool) -> Camera | None:
     """Return a camera with its pose, None where something of it is not known yet."""
     camera = source.camera
-    if camera is None or (camera.camera_T_world is None and not is_only):
+    if camera is None:
         return None
-    return replace(camera, camera_T_world=camera.camera_T_world or RigidTransform.identity())
+    pose = camera.camera_T_world or found or (RigidTransform.identity() if is_only else None)
+    return None if pose is None else replace(camera, camera_T_world=pose)
 
 
 def _rows(samples: Samples, rows: slice) -> Samples:

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What runs beside the calibrations: guidance before one is accepted, watch over it afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from rpgd_ros.core.config import AcceptConfig
+from rpgd_ros.core.geometry import RigidTransform
+from rpgd_ros.core.linearise import Sight
+from rpgd_ros.core.result import Calibration
+from rpgd_ros.core.thin import budget, thin
+from rpgd_ros.session.collect import MOCAP, Session
+from rpgd_ros.session.coverage import Coverage
+from rpgd_ros.session.expect import Expectation, Expected
+from rpgd_ros.session.guidance import Guidance
+from rpgd_ros.session.levels import Level, agreed, levels
+from rpgd_ros.session.recent import Pairs, Recent
+from rpgd_ros.session.snapshot import Snapshot
+from rpgd_ros.session.watch import Watch
+
+# Keypoints of a recording that a run is appraised with: 0.1 s beside a solve of seconds.
+APPRAISED_POINTS = 200_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Appraisal:
+    """What the data of a run say of the pose that it found.
+
+    Attributes:
+        pose: world_T_mocap.
+        levels: How the cameras fit it.
+        offsets_s: How late each video is stamped, where that was estimated.
+        poses: camera_T_world of the cameras that it placed.
+        expectation: What it is known to, to be continued.
+
+    """
+
+    pose: RigidTransform
+    levels: Mapping[str, Level]
+    offsets_s: Mapping[str, float]
+    poses: Mapping[str, RigidTransform]
+    expectation: Expectation
+
+
+def appraise(snapshot: Snapshot, calibration: Calibration) -> Appraisal:
+    """Look at the data of a run once more; for the thread of the solve."""
+    offsets_s = {name: offset for name, (offset, _) in calibration.time_offset_s.items()}
+    settled = snapshot.settled(calibration.camera_poses)
+    tracks = tuple(
+        replace(track, time_offset_s=offsets_s.get(camera.name, track.time_offset_s))
+        for camera, track in zip(settled.cameras, settled.keypoints, strict=True)
+    )
+    views = replace(settled, keypoints=tracks).observations.views
+    pairs = zip(settled.cameras, views, strict=True)
+    sights = [Sight(camera, view) for camera, view in pairs if view.n_frames]
+    poses = {
+        camera.name: camera.camera_T_world
+        for camera in settled.cameras
+        if camera.name in snapshot.turns and camera.camera_T_world is not None
+    }
+    few = thin(sights, 0, budget(sights, APPRAISED_POINTS))
+    pose = calibration.world_T_mocap
+    expectation = Expectation(pose, calibration.centroid_mocap)
+    n_frames, n_few = (sum(s.view.n_frames for s in part) for part in (sights, few))
+    expectation.add_sights(few, weight=n_frames / max(n_few, 1))
+    moved = [d.camera for d in calibration.disagreements if d.rival is None]
+    return Appraisal(pose, agreed(levels(few, pose), moved), offsets_s, poses, expectation)
+
+
+class Monitor:
+    """Running figures of a session. Belongs to its thread.
+
+    Attributes:
+        recent: Where the new pairs come from.
+        coverage: What has been seen.
+        watch: Over the accepted pose.
+
+    """
+
+    def __init__(self, session: Session, *, max_age_s: float) -> None:
+        """Start without a pose.
+
+        Args:
+            session: Where the messages are.
+            max_age_s: Of the session's buffer.
+
+        """
+        self.recent = Recent(session)
+        self.coverage = Coverage(max_age_s)
+        self.watch = Watch()
+        self._session = session
+        self._expectation: Expectation | None = None
+        self._n_epochs = session.n_epochs
+
+    def look(self) -> list[Pairs]:
+        """Take what came since the last time, and return it."""
+        if self._n_epochs != self._session.n_epochs:
+            self._n_epochs = self._session.n_epochs
+            self._start_over()
+        pairs = self.recent.take()
+        self.coverage.add(pairs)
+        self.watch.add(pairs)
+        if self._expectation is not None:
+            self._expectation.add(pairs)
+        return pairs
+
+    def clear(self) -> None:
+        """Forget the recording, as the session does; the pose and its watch stay."""
+        self._start_over()
+
+    def conclude(self, appraisal: Appraisal, *, is_accepted: bool, is_automatic: bool) -> None:
+        """Go on from the end of a run.
+
+        Args:
+            appraisal: Of the pose that it found.
+            is_accepted: Whether that pose is published; the watch is kept over no other.
+            is_automatic: Whether nobody asked for the run.
+
+        """
+        self._expectation = appraisal.expectation
+        if is_accepted:
+            self.recent.poses = appraisal.poses
+            self.keep_watch(
+                appraisal.pose,
+                appraisal.levels,
+                offsets_s=appraisal.offsets_s,
+                is_automatic=is_automatic,
+            )
+
+    def keep_watch(
+        self,
+        pose: RigidTransform,
+        levels: Mapping[str, Level],
+        *,
+        offsets_s: Mapping[str, float],
+        is_automatic: bool = False,
+    ) -> None:
+        """Watch a pose from now on; arguments as for `Watch.accept` and `Recent`."""
+        self.recent.offsets_s = dict(offsets_s)
+        self.watch.accept(pose, levels, is_automatic=is_automatic)
+
+    def guidance(self, gates: AcceptConfig, needed_motion_m: float) -> Guidance:
+        """Say how far the recording is on its way.
+
+        Args:
+            gates: What a calibration must pass.
+            needed_motion_m: How far the body must have moved before one is tried, metres.
+
+        """
+        cameras = (name for name in self._session.streams if name != MOCAP)
+        return Guidance(
+            seconds=self.coverage.seconds,
+            motion_m=self._session.motion_m(),
+            needed_motion_m=max(needed_motion_m, gates.min_motion_m),
+            images=tuple(self.coverage.image(name) for name in cameras),
+            room=self.coverage.room(),
+            expected=Expected() if self._expectation is None else self._expectation.expected(),
+            gates=gates,
+        )
+
+    def _start_over(self) -> None:
+        self.coverage.clear()
+        self.watch.restart()
+        if self._expectation is not None:
+            self._expectation = self._expectation.emptied()
