@@ -205,6 +205,11 @@ class Peer:
         status = self._newest.get(PREFIX + name)
         return str(status.message) if status else ''
 
+    def level(self, name: str) -> bytes:
+        """Return the newest level of one entry of /diagnostics, b'' before the first."""
+        status = self._newest.get(PREFIX + name)
+        return bytes(status.level) if status else b''
+
     def call(self, service: str, *, seconds: float) -> Trigger.Response | None:
         """Call a Trigger service.
 
