@@ -113,10 +113,12 @@ def test_markers_with_points_texts_and_meshes_are_read_through() -> None:
     np.testing.assert_array_equal(found[:, 0], range(32))
 
 
-def test_two_bodies_are_several_persons() -> None:
-    """Nobody says which of them wears the markers."""
-    both = drivers.marker_array([*azure(1), *azure(2)])
-    assert read(both, 'azure32', 3).dropped == {'several_persons': 1}
+def test_two_bodies_are_two_skeletons() -> None:
+    """Which of them a camera sees is the solver's to find."""
+    both = read(drivers.marker_array([*azure(1), *azure(2)]), 'azure32', 3).batch
+    assert both is not None
+    assert both.others is not None
+    assert both.others.shape == (1, 1, 32, 3)
 
 
 @pytest.mark.parametrize(
@@ -220,10 +222,16 @@ def test_detections_without_keypoints_are_no_persons() -> None:
     assert read(drivers.detections([]), 'coco17').dropped == {'nobody': 1}
 
 
-def test_two_detections_are_several_persons() -> None:
-    """Nobody says which of them is the subject."""
-    both = [drivers.detection({1: (5, 6, 0.9)}), drivers.detection({1: (50, 60, 0.9)})]
-    assert read(drivers.detections(both), 'coco17').dropped == {'several_persons': 1}
+def test_two_detections_are_two_persons() -> None:
+    """Which of them is the subject is the solver's to find."""
+    both = [drivers.detection({1: (5, 6, 0.9)}), drivers.detection({1: (50, 60, 0.8)})]
+    decoded = read(drivers.detections(both), 'coco17')
+    assert decoded.missing == {'nan': 32}
+    assert decoded.batch is not None
+    values, scores = decoded.batch.take(np.array([0, 1]))
+    np.testing.assert_array_equal(values[0, [0, 2]], [[5, 6], [50, 60]])
+    assert scores is not None
+    np.testing.assert_array_equal(scores[0, [0, 2]], [0.9, 0.8])
 
 
 def test_openpose_says_with_zeros_that_a_joint_is_missing() -> None:
