@@ -72,6 +72,32 @@ def test_options_reach_the_recording(tmp_path: Path) -> None:
     assert truth['joint_bias']['sigma_m'] == 0.02
 
 
+@pytest.mark.parametrize(('named', 'blind'), [([], 4), (['cam1', 'cam2'], 2)])
+def test_rig_file_may_lack_extrinsics(tmp_path: Path, named: list[str], blind: int) -> None:
+    """Of all cameras or of some; the truth has them all."""
+    output = tmp_path / 'demo'
+    assert simulate.main([*SHORT, '--output', str(output), '--no-extrinsics', *named]) == 0
+    cameras = read_rig(output / 'rig.yaml').cameras
+    without = [c.name for c in cameras if c.extrinsics is None]
+    assert len(without) == blind
+    assert all(c.camera is not None for c in cameras)
+    assert not named or without == named
+    truth = yaml.safe_load((output / 'truth.yaml').read_text())
+    assert list(truth['camera_T_world']) == [c.name for c in cameras]
+
+
+def test_cameras_to_leave_out_must_exist(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And a dataset has no rig file."""
+    options = [*SHORT, '--output', str(tmp_path / 'demo'), '--no-extrinsics', 'cam9']
+    assert simulate.main(options) == 2
+    assert "no camera 'cam9' to leave out" in capsys.readouterr().err
+    assert simulate.main([*options[:-1], '--format', 'dataset']) == 2
+    assert '--no-extrinsics is for rig files' in capsys.readouterr().err
+    assert names_in(tmp_path) == set()
+
+
 def test_existing_folder_is_not_overwritten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -46,6 +46,7 @@ examples:
   simulate --preset studio --output demo
   simulate --preset kinect --output far --seconds 20 --motion sway   # should be refused
   simulate --preset studio --output bad --outliers 0.4 --kind person --lag 0.02
+  simulate --preset studio --output blind --no-extrinsics    # of no camera; or name some
   simulate --preset aistpp --format dataset --sequences 20 --seconds 13 --output twin
 then:
   calibrate_bag demo/bag --rig demo/rig.yaml
@@ -108,6 +109,11 @@ def _parser() -> argparse.ArgumentParser:
     add('--lag', type=float, default=0.0, metavar='SECONDS', help=text)
     text = 'message type of the skeletons (default PointCloud2)'
     add('--mocap-type', choices=get_args(MocapType), default='PointCloud2', help=text)
+    text = (
+        'write the rig file without the extrinsics of these cameras, or of all: the calibration '
+        'finds them; truth.yaml has them'
+    )
+    add('--no-extrinsics', nargs='*', metavar='CAMERA', help=text)
     add('--force', action='store_true', help='replace DIR if it is an older recording')
     return parser
 
@@ -142,15 +148,26 @@ def _film_bag(
         motion=arguments.motion,
         faults=faults,
     )
+    blind = _blind(arguments.no_extrinsics, [camera.name for camera in scene.cameras])
     recording = simulate(scene, progress=progress)
     write_recording(
         recording,
         scratch,
         storage=arguments.storage,
         mocap_type=arguments.mocap_type,
+        blind=blind,
         progress=progress,
     )
     return finish(scratch, FILES)
+
+
+def _blind(wanted: Sequence[str] | None, names: Sequence[str]) -> Sequence[str]:
+    """Return the cameras of which the rig file gives no extrinsics."""
+    for name in wanted or ():
+        if name not in names:
+            msg = f'no camera {name[:80]!r} to leave out; the rig has {", ".join(names)}'
+            raise InputError(Reason.UNKNOWN_CAMERA, msg)
+    return () if wanted is None else wanted or names
 
 
 def _film_dataset(
@@ -160,6 +177,9 @@ def _film_dataset(
     if arguments.force:
         msg = '--force replaces recordings, never datasets: choose another name'
         raise InputError(Reason.NOT_WRITABLE, msg)
+    if arguments.no_extrinsics is not None:
+        msg = '--no-extrinsics is for rig files: a dataset has its own layout'
+        raise InputError(Reason.BAD_INPUT, msg)
     if arguments.sequences < 1:
         msg = f'--sequences must be 1 or more, got {arguments.sequences}'
         raise InputError(Reason.BAD_INPUT, msg)

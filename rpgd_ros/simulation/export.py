@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -62,6 +63,7 @@ def write_recording(
     *,
     storage: Storage = 'mcap',
     mocap_type: MocapType = 'PointCloud2',
+    blind: Collection[str] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> None:
     """Write `bag`, `rig.yaml` and `truth.yaml` into an existing, empty folder.
@@ -71,6 +73,7 @@ def write_recording(
         folder: Where.
         storage: Format of the bag.
         mocap_type: Message type of the skeletons.
+        blind: Cameras whose extrinsics the rig file does not give.
         progress: Called with a stage and the fraction of it that is done.
 
     Raises:
@@ -84,7 +87,7 @@ def write_recording(
             bag.write(topic, message.msgtype, message.receive_ns, message.payload)
             if progress and number % PROGRESS_EVERY == 0:
                 progress('writing', number / total)
-    write_rig(folder / RIG, rig_of(recording))
+    write_rig(folder / RIG, rig_of(recording, blind))
     write_atomic(folder / TRUTH, truth_text(recording))
     if progress:
         progress('writing', 1.0)
@@ -139,8 +142,14 @@ def _optical_frame(camera: str) -> str:
     return f'{camera}_optical_frame'
 
 
-def rig_of(recording: SimulatedRecording) -> Rig:
-    """Return what a user would have to write about the recording."""
+def rig_of(recording: SimulatedRecording, blind: Collection[str] = ()) -> Rig:
+    """Return what a user would have to write about the recording.
+
+    Args:
+        recording: What was filmed.
+        blind: Cameras of which the user does not know the extrinsics.
+
+    """
     mocap_joints = joint_names(recording.preset.mocap_joints)
     keypoints = joint_names(recording.preset.keypoint_joints)
     pairs = match_joints(mocap_joints, keypoints)
@@ -156,7 +165,10 @@ def rig_of(recording: SimulatedRecording) -> Rig:
                 camera=camera,
                 extrinsics=camera.camera_T_world,
             )
-            for camera in recording.cameras
+            for camera in (
+                replace(c, camera_T_world=None) if c.name in blind else c
+                for c in recording.cameras
+            )
         ),
     )
 
@@ -174,6 +186,14 @@ def truth_text(recording: SimulatedRecording) -> str:
             'xyz': truth.world_T_mocap.translation.tolist(),
             'quat_xyzw': truth.world_T_mocap.quat_xyzw.tolist(),
             'matrix': truth.world_T_mocap.matrix.tolist(),
+        },
+        'camera_T_world': {
+            camera.name: {
+                'xyz': camera.camera_T_world.translation.tolist(),
+                'quat_xyzw': camera.camera_T_world.quat_xyzw.tolist(),
+            }
+            for camera in recording.cameras
+            if camera.camera_T_world is not None
         },
         'control_points': _control_points(truth.control_mocap, truth.control_world),
         'time_offset_s': {
