@@ -86,6 +86,7 @@ def live(
     rig: Path,
     *parameters: str,
     namespace: str = '',
+    remaps: Sequence[str] = (),
     program: Sequence[str] = CALIBRATOR,
     domain: int | None = None,
 ) -> Iterator[Live]:
@@ -95,6 +96,7 @@ def live(
         rig: Rig file.
         parameters: As `name:=value`; automatic calibration is off unless they say otherwise.
         namespace: Of the node and its peer.
+        remaps: As `from:=to`.
         program: What to run, before the arguments of ROS.
         domain: Of the node and its peer; None = a free one.
 
@@ -111,6 +113,7 @@ def live(
     arguments = [*program, '--ros-args', *(word for p in given for word in ('-p', p))]
     if namespace:
         arguments += ['-r', f'__ns:={namespace}']
+    arguments += [word for remap in remaps for word in ('-r', remap)]
     with (
         running(arguments, ros_environment(domain)) as child,
         Peer('peer', domain_id=domain, namespace=namespace) as peer,
