@@ -72,7 +72,7 @@ def stamped(sec: int, nanosec: int) -> bytes:
         ('wrong_joints', POSE_ARRAY, peers.serialise(peers.pose_array(np.zeros((5, 7))))),
         ('nobody', POINT_CLOUD2, cloud(np.zeros(0, F4XYZ))),
         ('nobody', POSE_ARRAY, peers.serialise(peers.pose_array(np.zeros((0, 7))))),
-        ('several_persons', POINT_CLOUD2, cloud(np.zeros(8, F4XYZ), height=2)),
+        ('wrong_joints', POINT_CLOUD2, cloud(np.zeros(6, F4XYZ), height=2)),
         ('wrong_fields', POINT_CLOUD2, cloud(np.zeros(4, UV))),
         ('wrong_fields', POINT_CLOUD2, cloud(np.zeros(4, [(n, '<u4') for n in 'xyz']))),
         ('wrong_fields', POINT_CLOUD2, cloud(np.zeros(4, [(n, '<f4', (2,)) for n in 'xyz']))),

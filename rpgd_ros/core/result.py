@@ -15,6 +15,7 @@ from rpgd_ros.core.geometry import Array, RigidTransform
 if TYPE_CHECKING:
     from rpgd_ros.core.agreement import Disagreement
     from rpgd_ros.core.camera_pose import CameraPose
+    from rpgd_ros.core.persons import Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,8 @@ class Calibration:
         time_offset_s: {camera: (offset, sigma)} where estimated, seconds.
         disagreements: Cameras that contradict the others, the worst first.
         camera_poses: Extrinsics by camera, where they were found (`calibrate_cameras`).
+        shown: By camera, how much of its video shows the persons with MoCap, where several
+            persons were in view.
         warnings: Sentences for people.
         config: The settings of the run.
         seconds: Duration of the run.
@@ -92,6 +95,7 @@ class Calibration:
     time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
     camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
+    shown: Mapping[str, Shown] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
 

@@ -13,6 +13,7 @@ from rpgd_ros.messages.adapters import (
     decode,
     decode_parts,
 )
+from rpgd_ros.messages.batch import Decoded, JointBatch
 from rpgd_ros.messages.camera_info import (
     CAMERA_INFO,
     CameraInfo,
@@ -22,7 +23,7 @@ from rpgd_ros.messages.camera_info import (
 from rpgd_ros.messages.cdr import MAX_FRAME_ID, MAX_MESSAGE_BYTES
 from rpgd_ros.messages.encode import MAX_JOINTS, encode_point_cloud2, encode_pose_array
 from rpgd_ros.messages.frames import FrameTree
-from rpgd_ros.messages.joints import Decoded, JointBatch, decode_joints
+from rpgd_ros.messages.joints import decode_joints
 from rpgd_ros.messages.layout import JOINT_TYPES, POINT_CLOUD2, POSE_ARRAY, Drop
 from rpgd_ros.messages.tf import TF_MESSAGE, Link, decode_tf, encode_tf
 

@@ -11,7 +11,7 @@ import numpy as np
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.messages.cdr import FRAME_OFFSET, CdrWriter, split_stamp
-from rpgd_ros.messages.parse import CONFIDENCE, FIELD_NAMES
+from rpgd_ros.messages.parse import CONFIDENCE, FIELD_NAMES, MAX_PERSONS
 
 MAX_JOINTS = 256
 
@@ -27,13 +27,14 @@ def encode_point_cloud2(
     *,
     dtype: FloatName = 'float32',
 ) -> bytes:
-    """Serialise one skeleton or one set of keypoints as sensor_msgs/PointCloud2.
+    """Serialise skeletons or keypoints as sensor_msgs/PointCloud2, one row per person.
 
     Args:
         stamp_ns: Acquisition stamp.
         frame_id: Frame of the header.
-        values: (J, 3) written as x y z, or (J, 2) written as u v; NaN = missing.
-        confidence: (J,) scores, or None.
+        values: (J, 3) written as x y z, or (J, 2) written as u v; NaN = missing. Of several
+            persons (P, J, 3) or (P, J, 2).
+        confidence: (J,) or (P, J) scores, or None.
         dtype: Type of the numbers on the wire. float32 is what drivers send: 0.06 um at 1 m,
             0.0001 px at 2000 px.
 
@@ -41,20 +42,23 @@ def encode_point_cloud2(
         InputError: Shapes, stamp or frame that cannot be sent.
 
     """
-    values = _checked(values)
+    values = np.asarray(values, dtype=np.float64)
+    n_persons, shape = 1, values.shape[:-1]
+    if values.ndim == 3 and 0 < len(values) <= MAX_PERSONS and values.size:
+        n_persons, values = len(values), values.reshape(-1, values.shape[2])
+    values = _checked(values, n_persons)
     names = FIELD_NAMES[values.shape[1]][0]
     table = values
     if confidence is not None:
-        if np.shape(confidence) != (len(values),):
-            msg = f'{len(values)} joints but scores of shape {np.shape(confidence)}'
+        if np.shape(confidence) != shape:
+            msg = f'joints of shape {shape} but scores of shape {np.shape(confidence)}'
             raise InputError(Reason.BAD_INPUT, msg)
         names = (*names, CONFIDENCE)
-        table = np.column_stack([values, confidence])
+        table = np.column_stack([values, np.ravel(confidence)])
     data = table.astype(f'<{"f4" if dtype == "float32" else "f8"}').tobytes()
     is_dense = bool(np.isfinite(table).all())
-    return _with_stamp(
-        _point_cloud_head(frame_id, len(values), names, dtype), stamp_ns, data + bytes([is_dense])
-    )
+    head = _point_cloud_head(frame_id, n_persons, len(values) // n_persons, names, dtype)
+    return _with_stamp(head, stamp_ns, data + bytes([is_dense]))
 
 
 def encode_pose_array(stamp_ns: int, frame_id: str, values: Array) -> bytes:
@@ -82,9 +86,10 @@ def _with_stamp(head: bytes, stamp_ns: int, data: bytes) -> bytes:
     return stamp + head + data
 
 
-def _checked(values: Array) -> Array:
+def _checked(values: Array, n_persons: int = 1) -> Array:
     values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 2 or values.shape[1] not in FIELD_NAMES or not 0 < len(values) <= MAX_JOINTS:
+    most = MAX_JOINTS * n_persons
+    if values.ndim != 2 or values.shape[1] not in FIELD_NAMES or not 0 < len(values) <= most:
         msg = f'need (J, 2) or (J, 3) values of 1 to {MAX_JOINTS} joints, got {values.shape}'
         raise InputError(Reason.BAD_INPUT, msg)
     return values
@@ -92,15 +97,16 @@ def _checked(values: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _point_cloud_head(
-    frame_id: str, n_joints: int, names: tuple[str, ...], dtype: FloatName
+    frame_id: str, n_persons: int, n_joints: int, names: tuple[str, ...], dtype: FloatName
 ) -> bytes:
     """Everything between the stamp and the joints, the same in a whole stream."""
     size = np.dtype(dtype).itemsize
-    writer = CdrWriter().header(0, frame_id).numbers('I', 1, n_joints, len(names))
+    writer = CdrWriter().header(0, frame_id).numbers('I', n_persons, n_joints, len(names))
     for i, name in enumerate(names):
         writer.string(name).numbers('I', i * size).numbers('B', _DATATYPE[dtype]).numbers('I', 1)
     step = size * len(names)
-    writer.numbers('B', 0).numbers('I', step, step * n_joints, step * n_joints)
+    row = step * n_joints
+    writer.numbers('B', 0).numbers('I', step, row, row * n_persons)
     return writer.done()[FRAME_OFFSET:]
 
 

@@ -9,14 +9,14 @@ counted; no bytes whatsoever raise.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
+from typing import Final, Literal
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array, IntArray
+from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.observations import LARGEST_COORDINATE
+from rpgd_ros.messages.batch import Decoded, JointBatch, crowd_batch, merge
 from rpgd_ros.messages.cdr import NS_PER_S, STAMP_OFFSET
 from rpgd_ros.messages.layout import (
     Drop,
@@ -26,46 +26,10 @@ from rpgd_ros.messages.layout import (
     Run,
     Wanted,
 )
-from rpgd_ros.messages.parse import find_layout
+from rpgd_ros.messages.parse import MAX_PERSONS, find_layout
 
+BEYOND: Final = f'persons_beyond_{MAX_PERSONS}'
 _Message = tuple[int, int, bytes]  # position among the payloads, stamp, bytes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointBatch:
-    """The messages of one stream that can be used, B of them, in the order they came.
-
-    Attributes:
-        index: (B,) position of each among the payloads.
-        stamp_ns: (B,) acquisition stamps of the headers.
-        frame_id: Frame of the headers.
-        values: (B, J, C) metres as sent (C = 3) or pixels as sent (C = 2); NaN = missing, in all
-            C or none.
-        confidence: (B, J) scores, NaN = none given; None where no message has scores.
-
-    """
-
-    index: IntArray
-    stamp_ns: IntArray
-    frame_id: str
-    values: Array
-    confidence: Array | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Decoded:
-    """What became of the payloads.
-
-    Attributes:
-        batch: The usable ones; None without any.
-        dropped: Messages dropped, by `Drop` reason.
-        missing: Joints missing in the others: `nan` (also infinite, or absurdly large), `zero`.
-
-    """
-
-    batch: JointBatch | None
-    dropped: Mapping[str, int]
-    missing: Mapping[str, int]
 
 
 def decode_joints(
@@ -108,7 +72,7 @@ def decode_joints(
         for layout, messages in groups.items()
         if messages
     ]
-    return Decoded(_merge(parts) if parts else None, dropped, missing)
+    return Decoded(merge(parts) if parts else None, dropped, missing)
 
 
 def _group(
@@ -164,22 +128,22 @@ def _decode_group(
         must_also_be_zero=must_also_be_zero,
         missing=missing,
     )
-    return JointBatch(
-        np.array(index),
-        np.array(stamp_ns),
-        layout.frame_id,
-        values.transpose(1, 2, 0),
-        scores[0] if len(scores) else None,
-    )
+    head = np.array(index), np.array(stamp_ns), layout.frame_id
+    if layout.n_persons > 1:
+        _count(missing, BEYOND, layout.n_beyond * len(payloads))
+        return crowd_batch(head, np.moveaxis(values, 0, -1), scores[0] if len(scores) else None)
+    return JointBatch(*head, values.transpose(1, 2, 0), scores[0] if len(scores) else None)
 
 
 @np.errstate(invalid='ignore')  # widening a signalling NaN
 def _read(layout: Layout, runs: tuple[Run, ...], data: bytes, n_messages: int) -> Array:
-    """Gather numbers of all messages, one plane (B, J) for each."""
+    """Gather numbers of all messages, one plane (B, J) for each; (B, P, J) of several persons."""
     planes = []
+    is_crowd = layout.n_persons > 1
+    persons, row = ((layout.n_persons,), (layout.row,)) if is_crowd else ((), ())
     for dtype, offset, n in runs:
-        shape = (n, n_messages, layout.n_joints)
-        strides = (dtype.itemsize, layout.length, layout.step)
+        shape = (n, n_messages, *persons, layout.n_joints)
+        strides = (dtype.itemsize, layout.length, *row, layout.step)
         raw = np.ndarray(shape, dtype, data, layout.start + offset, strides)
         planes.append(raw.astype(np.float64, order='C'))
     return planes[0] if len(planes) == 1 else np.concatenate(planes)
@@ -195,7 +159,7 @@ def _clear_missing(
     """Make joints missing as a whole that are zero or no plausible numbers; count them.
 
     Args:
-        values: (C, B, J), changed in place.
+        values: (C, B, J) or (C, B, P, J), changed in place.
         zero_is_missing: Whether zero is missing.
         must_also_be_zero: (N, B, J) further numbers that a missing joint has zero, or None.
         missing: Counts, changed in place.
@@ -220,27 +184,3 @@ def _clear_missing(
 def _count(counts: dict[str, int], reason: str, n: int) -> None:
     if n:
         counts[reason] = counts.get(reason, 0) + n
-
-
-def _merge(parts: list[JointBatch]) -> JointBatch:
-    """Put messages of several layouts back into the order they came in."""
-    if len(parts) == 1:
-        return parts[0]
-    index = np.concatenate([part.index for part in parts])
-    order = np.argsort(index)
-    confidence = None
-    if any(part.confidence is not None for part in parts):
-        confidence = np.concatenate([_scores(part) for part in parts])[order]
-    return JointBatch(
-        index[order],
-        np.concatenate([part.stamp_ns for part in parts])[order],
-        parts[0].frame_id,
-        np.concatenate([part.values for part in parts])[order],
-        confidence,
-    )
-
-
-def _scores(part: JointBatch) -> Array:
-    if part.confidence is not None:
-        return part.confidence
-    return np.full(part.values.shape[:2], np.nan)

@@ -73,6 +73,9 @@ class Layout(NamedTuple):
         numbers: x y z or u v, then the score where there is one.
         orientation: The quaternion x y z w, where there is one.
         padding: Ranges before `start` that carry no meaning.
+        n_persons: Number of skeletons that are read.
+        row: Bytes from person to person.
+        n_beyond: Further persons, which are not.
 
     """
 
@@ -86,6 +89,9 @@ class Layout(NamedTuple):
     numbers: tuple[Run, ...]
     orientation: tuple[Run, ...]
     padding: tuple[tuple[int, int], ...]
+    n_persons: int = 1
+    row: int = 0
+    n_beyond: int = 0
 
     def mask(self) -> int:
         """Return which bytes before `start` are the same in every message of this layout.

@@ -33,6 +33,7 @@ from rpgd_ros.messages.layout import (
 
 CONFIDENCE: Final = 'confidence'
 FIELD_NAMES: Final = {3: (('x', 'y', 'z'),), 2: (('u', 'v'), ('x', 'y'))}
+MAX_PERSONS: Final = 20  # per message: more than any detector tells apart in a room
 MAX_FIELDS: Final = 32
 MAX_FIELD_NAME: Final = 64
 POSE_BYTES: Final = 56  # float64: position x y z, orientation x y z w
@@ -128,14 +129,16 @@ def _read_point_cloud(payload: bytes, wanted: Wanted) -> Layout:
     padding = [(frame_end, position)]
     height, width, n_fields = order.shape.unpack_from(payload, position)
     fields, position = _read_fields(payload, position + 12, order, n_fields, padding)
-    is_bigendian, step, _, size = order.cloud.unpack_from(payload, position)
+    is_bigendian, step, row_step, size = order.cloud.unpack_from(payload, position)
     start = position + 16
     padding.append((position + 1, position + 4))
     _check_end(payload, start + size + 1)  # is_dense follows the data
     # row_step only matters from the second row on; some drivers leave it zero.
-    if height == 1 and width * step > size:
+    row = (row_step or width * step) if height > 1 else 0
+    if (height - 1) * row + width * step > size or (height > 1 and row < width * step):
         raise DropError(Drop.MALFORMED)
     _check_joints(height, width, wanted.n_joints)
+    n_persons = min(height, MAX_PERSONS)
     return Layout(
         order=order,
         length=len(payload),
@@ -147,6 +150,9 @@ def _read_point_cloud(payload: bytes, wanted: Wanted) -> Layout:
         numbers=_find_numbers(fields, step, '>' if is_bigendian else '<', wanted.n_values),
         orientation=(),
         padding=tuple(padding),
+        n_persons=n_persons,
+        row=row,
+        n_beyond=height - n_persons,
     )
 
 
@@ -200,7 +206,5 @@ def _check_end(payload: bytes, end: int) -> None:
 def _check_joints(n_persons: int, n_found: int, n_joints: int) -> None:
     if not n_persons * n_found:
         raise DropError(Drop.NOBODY)
-    if n_persons > 1:
-        raise DropError(Drop.SEVERAL_PERSONS)
     if n_found != n_joints:
         raise DropError(Drop.WRONG_JOINTS)

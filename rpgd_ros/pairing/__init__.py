@@ -7,16 +7,19 @@ stored: a live run and its replay from a bag give the same observations, bit for
 
 from rpgd_ros.pairing.config import BufferConfig, SyncConfig
 from rpgd_ros.pairing.match import Match, PairCounts, match, pair
-from rpgd_ros.pairing.store import Samples
+from rpgd_ros.pairing.store import Persons, Samples
 from rpgd_ros.pairing.stream import JointStream
+from rpgd_ros.pairing.tracks import follow
 
 __all__ = [
     'BufferConfig',
     'JointStream',
     'Match',
     'PairCounts',
+    'Persons',
     'Samples',
     'SyncConfig',
+    'follow',
     'match',
     'pair',
 ]

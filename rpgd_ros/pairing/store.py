@@ -14,6 +14,7 @@ import numpy as np
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 
 FIRST_ROWS = 256  # 1 s of a fast MoCap; doubled as needed, so that silent streams cost nothing
+FULL_PERSONS = 4  # up to which a store keeps max_frames samples
 
 
 class Samples(NamedTuple):
@@ -31,8 +32,27 @@ class Samples(NamedTuple):
     confidence: Array | None
 
 
+class Persons(NamedTuple):
+    """Joints of several persons over time.
+
+    Attributes:
+        stamp_ns: (F,) strictly increasing.
+        values: (F, P, J, C) as sent; NaN = missing.
+        confidence: (F, P, J); NaN where a message had none; None where no message had any.
+
+    """
+
+    stamp_ns: IntArray
+    values: Array
+    confidence: Array | None
+
+
 class SampleStore:
     """Keeps the newest samples, one per stamp.
+
+    A sample of several persons has the joints of all of them, person by person. From the first
+    such sample on the store is as wide as the largest; above FULL_PERSONS it keeps fewer samples,
+    so that a crowd takes no more memory than so many persons.
 
     What it holds is a function of the set of samples given, not of their order: of two samples
     with one stamp, the one with more joints stays, then the one whose bytes come first.
@@ -54,13 +74,22 @@ class SampleStore:
         self._start = self._sorted = self._end = 0
         self._has_confidence = False
         self._is_lent = False
+        self._n_joints = n_joints
         self._stamp = np.empty(FIRST_ROWS, np.int64)
         self._values = np.empty((FIRST_ROWS, n_joints, n_values))
         self._confidence = np.empty((FIRST_ROWS, n_joints))
 
     def append(self, stamp_ns: IntArray, values: Array, confidence: Array | None) -> None:
-        """Take samples in any order: (B,), (B, J, C) and (B, J)."""
-        n = len(stamp_ns)
+        """Take samples in any order: (B,), (B, J, C) and (B, J), or P J joints in place of J."""
+        n, width = len(stamp_ns), self._values.shape[1]
+        if values.shape[1] != width:
+            # The messages of a batch may be padded for one that does not belong.
+            needed = self._n_joints * _n_persons(values, self._n_joints)
+            if needed > width:
+                self._widen(needed)
+                width = needed
+            values = _padded(values[:, :width], width)
+            confidence = None if confidence is None else _padded(confidence[:, :width], width)
         if self._end + n > len(self._stamp):
             self._make_room(n)
         rows = slice(self._end, self._end + n)
@@ -78,6 +107,11 @@ class SampleStore:
         n = len(self)
         self._start = self._sorted = self._end = 0
         self._has_confidence = False
+        if self._values.shape[1] > self._n_joints:
+            self._values = np.empty((FIRST_ROWS, self._n_joints, self._values.shape[2]))
+            self._confidence = np.empty((FIRST_ROWS, self._n_joints))
+            self._stamp = np.empty(FIRST_ROWS, np.int64)
+            self._is_lent = False
         if self._is_lent:
             self._move_to(FIRST_ROWS)
         return n
@@ -98,12 +132,50 @@ class SampleStore:
         self._is_lent = True
         return samples
 
+    def lend_persons(self) -> Persons | None:
+        """Return the joints of all persons for good; None where there is never more than one."""
+        if self._values.shape[1] == self._n_joints:
+            return None
+        stamp_ns, values, confidence = self._all()
+        n_persons = _n_persons(values, self._n_joints)
+        if n_persons == 1:
+            return None  # the others are too long ago
+        self._is_lent = True
+        shape = (len(values), -1, self._n_joints)
+        scores = None if confidence is None else confidence.reshape(shape)[:, :n_persons]
+        return Persons(stamp_ns, values.reshape(*shape, values.shape[2])[:, :n_persons], scores)
+
     def samples(self) -> Samples:
-        """Return the samples, valid until the next one is added."""
+        """Return the samples, valid until the next one is added; of several persons the first."""
+        samples = self._all()
+        if samples.values.shape[1] == self._n_joints:
+            return samples
+        one = slice(0, self._n_joints)
+        confidence = None if samples.confidence is None else samples.confidence[:, one]
+        return Samples(samples.stamp_ns, samples.values[:, one], confidence)
+
+    def _all(self) -> Samples:
         self._consolidate()
         rows = slice(self._start, self._end)
         confidence = self._confidence[rows] if self._has_confidence else None
         return Samples(self._stamp[rows], self._values[rows], confidence)
+
+    @property
+    def _most(self) -> int:
+        """Most samples kept."""
+        n_persons = self._values.shape[1] // max(self._n_joints, 1)
+        if n_persons <= FULL_PERSONS:
+            return self.max_frames
+        return max(1, self.max_frames * FULL_PERSONS // n_persons)
+
+    def _widen(self, n_joints: int) -> None:
+        """Make room for more persons per sample."""
+        self._consolidate()
+        for name in ('_values', '_confidence'):
+            setattr(self, name, _padded(getattr(self, name), n_joints))
+        # What was lent is of the old arrays, but for the stamps.
+        self._stamp = self._stamp.copy()
+        self._is_lent = False
 
     def _consolidate(self) -> None:
         """Sort what was added since the last time, and let go of what is too old."""
@@ -116,7 +188,7 @@ class SampleStore:
         kept = self._stamp[self._start : self._end]
         if len(kept):
             too_old = int(np.searchsorted(kept, kept[-1] - self.max_age_ns))
-            n = max(too_old, len(kept) - self.max_frames)
+            n = max(too_old, len(kept) - self._most)
             self._start += n
             self.n_expired += n
 
@@ -173,7 +245,7 @@ class SampleStore:
         rows = max(len(self._stamp), FIRST_ROWS)
         while rows < needed:
             rows *= 2
-        self._move_to(max(min(rows, self.max_frames + self.max_frames // 4 + 1), needed))
+        self._move_to(max(min(rows, self._most + self._most // 4 + 1), needed))
 
     def _move_to(self, n_rows: int) -> None:
         """Move the samples to the front of arrays of at least so many rows."""
@@ -187,3 +259,16 @@ class SampleStore:
         self._is_lent = False
         self._sorted -= self._start
         self._start, self._end = 0, n_kept
+
+
+def _n_persons(values: Array, n_joints: int) -> int:
+    """Return how many persons the fullest sample of values (B, P J, C) has, at least 1."""
+    there = ~np.isnan(values[..., 0]).reshape(len(values), -1, n_joints).all(2)
+    return max(1, int(np.flatnonzero(there.any(0)).max(initial=0)) + 1)
+
+
+def _padded(array: Array, n_joints: int) -> Array:
+    """Return (B, J, ...) with more joints, which are NaN."""
+    out = np.full((len(array), n_joints, *array.shape[2:]), np.nan)
+    out[:, : array.shape[1]] = array
+    return out

@@ -10,7 +10,7 @@ import numpy as np
 
 from rpgd_ros.core.geometry import Array, IntArray
 from rpgd_ros.core.observations import NS_PER_S
-from rpgd_ros.pairing.store import Samples, SampleStore
+from rpgd_ros.pairing.store import Persons, Samples, SampleStore
 
 JUMP_NS = NS_PER_S  # a message nearer to the newest one is late or early; else a clock jumped
 AGREE = 5  # messages that must agree on a new time before it is believed
@@ -28,9 +28,9 @@ class _Held(NamedTuple):
 
     def rank(self) -> tuple[int, bytes, bytes]:
         """Rank among those of one stamp, as the store does."""
-        missing = int(np.isnan(self.values).any(-1).sum())
+        present = int((~np.isnan(self.values).any(-1)).sum())
         confidence = b'' if self.confidence is None else self.confidence.tobytes()
-        return missing, self.values.tobytes(), confidence
+        return -present, self.values.tobytes(), confidence
 
 
 class JointStream:
@@ -92,8 +92,8 @@ class JointStream:
 
         Args:
             stamp_ns: (B,) stamps; zero and below = none.
-            values: (B, J, C) joints, NaN = missing.
-            confidence: (B, J) scores, or None.
+            values: (B, J, C) joints, NaN = missing; (B, P J, C) of several persons.
+            confidence: (B, J) scores, or None; (B, P J) of several persons.
 
         Returns:
             Whether a backward jump was believed: the other streams have to `start_epoch`.
@@ -152,6 +152,13 @@ class JointStream:
     def lend(self) -> Samples:
         """Return sorted unique samples that stay what they are; nothing is copied for it."""
         return self._store.lend()
+
+    def lend_persons(self) -> Persons | None:
+        """Return the samples of all persons, as `lend`; None where there is never more than one.
+
+        Where there are, `lend` and `arrays` give the first of each message.
+        """
+        return self._store.lend_persons()
 
     def _add_stamped(self, stamp_ns: IntArray, values: Array, confidence: Array | None) -> bool:
         """Take stretches that belong at once, and what lies between them one by one."""

@@ -227,6 +227,7 @@ class Session:
             pair_counts=counts,
             left_out=tuple(name for name, c in self._cameras.items() if c.camera is None),
             turns=turns,
+            persons=self._mocap.lend_persons(),
         )
 
     def _input(self, stream: str) -> StreamInput:

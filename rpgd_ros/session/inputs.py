@@ -14,7 +14,7 @@ from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import RigidTransform, rotation_angle
 from rpgd_ros.io.rig import RigCamera
 from rpgd_ros.messages import NORMALISED_TYPES, CameraInfo, decode
-from rpgd_ros.pairing import BufferConfig, JointStream, Samples
+from rpgd_ros.pairing import BufferConfig, JointStream, Persons, Samples
 from rpgd_ros.session.gather import GatheredStream
 from rpgd_ros.session.snapshot import KeypointTrack
 
@@ -111,17 +111,21 @@ class StreamInput:
         stamp_ns = batch.stamp_ns
         if use_receive_time:
             stamp_ns = np.array([receive_ns[i] for i in batch.index], np.int64)
-        values = batch.values.take(self._used, axis=1)
+        values, confidence = batch.take(self._used)
         if self._scale != 1.0:
             values *= self._scale
-        confidence = batch.confidence
-        if confidence is not None:
-            confidence = confidence.take(self._used, axis=1)
-            # Only counted here, taken out of the snapshot: a new limit holds for what is stored.
-            if self._min_confidence > 0.0 and (confidence < self._min_confidence).any():
-                n_low = int(np.count_nonzero(confidence < self._min_confidence))
+        # Only counted here, taken out of the snapshot: a new limit holds for what is stored.
+        if confidence is not None and self._min_confidence > 0.0:
+            n_low = int(np.count_nonzero(confidence < self._min_confidence))
+            if n_low:
                 self._joints['low_confidence'] += n_low
+        if batch.others is not None:
+            self._joints['further_persons'] += int(np.isfinite(batch.others[..., 0]).any(2).sum())
         return self._whole.add(stamp_ns, values, confidence)
+
+    def lend_persons(self) -> Persons | None:
+        """Return the joints of all persons; None where there is never more than one."""
+        return self._whole.lend_persons() if self.store is self._whole else None
 
     def resize(self, buffer: BufferConfig) -> None:
         """Change the bounds of the store."""
@@ -222,7 +226,8 @@ class CameraInput(StreamInput):
 
     def lend(self, time_offset_s: float) -> KeypointTrack:
         """Return the keypoints for a snapshot."""
-        return self.track(self.store.lend(), time_offset_s)
+        track = self.track(self.store.lend(), time_offset_s)
+        return replace(track, persons=self.lend_persons())
 
     def track(self, samples: Samples, time_offset_s: float) -> KeypointTrack:
         """Return some of the keypoints with all that is needed to read them."""

@@ -9,14 +9,16 @@ from functools import cached_property
 
 import numpy as np
 
-from rpgd_ros.core import CameraPose, calibrate, calibrate_cameras
+from rpgd_ros.core import CameraPose, Picked, calibrate, calibrate_cameras, pick_persons
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.config import CalibrationConfig
+from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
 from rpgd_ros.core.observations import MocapTrack, Observations
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.rig_types import KeypointUnits
-from rpgd_ros.pairing import PairCounts, Samples, SyncConfig, pair
+from rpgd_ros.pairing import PairCounts, Persons, Samples, SyncConfig, pair
+from rpgd_ros.session.crowd import alone, make_crowd, tracks_of
 
 # Pixels of an image are counted in hundreds: a median below 2 can only be shares of its size.
 LARGEST_NORMALISED = 2.0
@@ -32,6 +34,7 @@ class KeypointTrack:
         units: Of the coordinates.
         min_confidence: Keypoints with a lower score are missing.
         time_offset_s: How late the video is stamped against the skeletons, seconds.
+        persons: (F, P, K, 2) of all persons, where there are several; `samples` is the first.
 
     """
 
@@ -40,6 +43,7 @@ class KeypointTrack:
     units: KeypointUnits
     min_confidence: float
     time_offset_s: float
+    persons: Persons | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,7 @@ class Snapshot:
         pair_counts: Frames of each of these cameras with and without a skeleton.
         left_out: Cameras whose intrinsics have not arrived.
         turns: By camera without a pose, which the solve is to find: optical frame to camera.
+        persons: (M, S, J, 3) skeletons of all persons, where there are several with MoCap.
 
     """
 
@@ -68,6 +73,41 @@ class Snapshot:
     pair_counts: Mapping[str, PairCounts]
     left_out: tuple[str, ...] = ()
     turns: Mapping[str, RigidTransform] = field(default_factory=dict)
+    persons: Persons | None = None
+
+    @property
+    def is_crowd(self) -> bool:
+        """Whether some message held more than one person."""
+        return self.persons is not None or any(k.persons is not None for k in self.keypoints)
+
+    def pick(self, check: Callable[[float], None] = lambda _: None) -> Picked | None:
+        """Find which detections show the persons with MoCap; once, then it is known.
+
+        Args:
+            check: Called with the fraction done; raises to end the run.
+
+        Returns:
+            What belongs together; None where there is never more than one person.
+
+        Raises:
+            CalibrationError: No detection shows a person with MoCap.
+
+        """
+        if not self.is_crowd:
+            return None
+        known: dict[str, Picked] = self.__dict__.setdefault('_known', {})
+        if 'picked' not in known:
+            crowd = make_crowd(
+                tracks_of(self.skeletons, self.persons),
+                [
+                    (persons_in_columns(k, len(self.joint_names), c.size), k.time_offset_s)
+                    for c, k in zip(self.cameras, self.keypoints, strict=True)
+                ],
+                sync=self.sync,
+                joint_names=self.joint_names,
+            )
+            known['picked'] = pick_persons(self.cameras, crowd, config=self.config, check=check)
+        return known['picked']
 
     def placed(self, poses: Mapping[str, CameraPose]) -> tuple[Camera, ...]:
         """Return the cameras with the poses that a solve found; a camera may still have none."""
@@ -88,7 +128,13 @@ class Snapshot:
 
     @cached_property
     def observations(self) -> Observations:
-        """The pairs, one view per camera, stamped on the MoCap's clock; made when first asked."""
+        """The pairs, one view per camera, stamped on the MoCap's clock; made when first asked.
+
+        Of several persons those that belong together, see `pick`.
+        """
+        picked = self.pick()
+        if picked is not None:
+            return picked.observations
         views = tuple(
             pair(
                 self.skeletons,
@@ -122,6 +168,22 @@ def in_columns(track: KeypointTrack, n_columns: int, size: tuple[int, int]) -> S
     return Samples(stamp_ns, out, scores)
 
 
+def persons_in_columns(track: KeypointTrack, n_columns: int, size: tuple[int, int]) -> Persons:
+    """Return keypoints of all persons (F, P, J, 2); see `in_columns`."""
+    if track.persons is None:
+        return alone(in_columns(track, n_columns, size))
+    stamp_ns, uv, confidence = track.persons
+    n_frames, n_persons, n_joints, _ = uv.shape
+    scores = None if confidence is None else confidence.reshape(-1, n_joints)
+    flat = Samples(stamp_ns, uv.reshape(-1, n_joints, 2), scores)
+    _, values, rated = in_columns(replace(track, samples=flat), n_columns, size)
+    return Persons(
+        stamp_ns,
+        values.reshape(n_frames, n_persons, n_columns, 2),
+        None if rated is None else rated.reshape(n_frames, n_persons, n_columns),
+    )
+
+
 def _is_normalised(track: KeypointTrack) -> bool:
     if track.units != 'auto':
         return track.units == 'normalized'
@@ -152,6 +214,7 @@ def solve(
         CalibrationError: The data do not give a pose that anybody should use.
 
     """
+    picked = snapshot.pick(_check('persons', progress, should_stop))
     calibration = _calibrated(snapshot, progress, should_stop)
     known_s = {
         camera.name: track.time_offset_s
@@ -161,11 +224,34 @@ def solve(
         name: (offset_s + known_s[name], sigma_s)
         for name, (offset_s, sigma_s) in calibration.time_offset_s.items()
     }
+    if picked is not None:
+        shown = {c.name: s for c, s in zip(snapshot.cameras, picked.shown, strict=True)}
+        calibration = replace(calibration, shown=shown)
     warnings = calibration.warnings
     if snapshot.left_out:
         names = ', '.join(snapshot.left_out)
         warnings = (*warnings, f'left out, because no CameraInfo arrived: {names}')
     return replace(calibration, time_offset_s=offsets, warnings=warnings)
+
+
+def _check(
+    stage: str,
+    progress: Callable[[str, float], None] | None,
+    should_stop: Callable[[], bool] | None,
+) -> Callable[[float], None]:
+    """Return what a stage calls with its fraction done."""
+    furthest = 0.0
+
+    def tick(fraction: float) -> None:
+        nonlocal furthest
+        furthest = max(furthest, fraction)
+        if progress is not None:
+            progress(stage, furthest)
+        if should_stop is not None and should_stop():
+            msg = f'cancelled during {stage}'
+            raise CalibrationError(Reason.CANCELLED, msg)
+
+    return tick
 
 
 def _calibrated(

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rpgd_ros.core.camera import Camera
+from rpgd_ros.core.candidates import Crowd, CrowdView
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray, RigidTransform
 from rpgd_ros.core.observations import MocapTrack, Observations, View
+from rpgd_ros.simulation.company import Company
 from rpgd_ros.simulation.faults import Faults
 from rpgd_ros.simulation.presets import Preset
 from rpgd_ros.skeletons import joint_names, match_joints
@@ -99,6 +101,7 @@ class SimulatedRecording:
         mocap: The skeletons.
         streams: The detections, in the order of the cameras.
         truth: What is to be found.
+        company: What is reported of other people, or None where there are none.
 
     """
 
@@ -108,6 +111,7 @@ class SimulatedRecording:
     mocap: MocapStream
     streams: tuple[CameraStream, ...]
     truth: Truth
+    company: Company | None = None
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
@@ -138,6 +142,37 @@ class SimulatedRecording:
             for s in self.streams
         )
         return Observations(views, track, tuple(names[j] for j, _ in self.pairs))
+
+    def crowd(self) -> Crowd:
+        """Pair all skeletons with the detections of all persons, these in the order sent."""
+        names = joint_names(self.preset.mocap_joints)
+        joints, pick = [j for j, _ in self.pairs], [k for _, k in self.pairs]
+        bodies = [self.mocap.x_mocap, *np.moveaxis(_company_of(self).x_mocap, 1, 0)]
+        tracks = tuple(MocapTrack(self.mocap.stamp_ns, _columns(x, joints)) for x in bodies)
+        views = []
+        for v, s in enumerate(self.streams):
+            uv, scores = self.persons(v)
+            x = np.stack([_skeleton_at(track, s.stamp_ns) for track in tracks], 1)
+            views.append(CrowdView(s.stamp_ns, x, uv[:, :, pick], scores[:, :, pick]))
+        return Crowd(tuple(views), tracks, tuple(names[j] for j in joints))
+
+    def persons(self, camera: int) -> tuple[Array, Array]:
+        """Return keypoints (F, P, J, 2) and scores (F, P, J) of all, in the order sent."""
+        stream, company = self.streams[camera], _company_of(self)
+        uv = np.concatenate([stream.uv[:, None], company.uv[camera]], 1)
+        scores = np.concatenate([stream.confidence[:, None], company.confidence[camera]], 1)
+        order = company.order[camera]
+        return (
+            np.take_along_axis(uv, order[..., None, None], 1),
+            np.take_along_axis(scores, order[..., None], 1),
+        )
+
+
+def _company_of(recording: SimulatedRecording) -> Company:
+    if recording.company is None:
+        msg = 'nobody but the subject is in the scene'
+        raise ValueError(msg)
+    return recording.company
 
 
 def _columns(values: Array, pick: list[int]) -> Array:

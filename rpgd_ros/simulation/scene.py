@@ -14,6 +14,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, IntArray, RigidTransform, rotation_from_quat_xyzw
 from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.simulation.body import Body, Pose
+from rpgd_ros.simulation.company import Company, record_company
 from rpgd_ros.simulation.detector import Shot, detect
 from rpgd_ros.simulation.faults import BiasFrame, Faults
 from rpgd_ros.simulation.gait import rot_z
@@ -27,6 +28,8 @@ from rpgd_ros.skeletons import joint_names, mirror
 EPOCH_NS = 1_735_689_600_000_000_000  # 2025-01-01: stamps of a recording look like real ones
 MOCAP_ORIGIN_M = 2.0  # the MoCap origin lies anywhere within this of the world's, per axis
 MAX_LAG_S = 0.75 * MARGIN_S  # the body's course reaches only so far beyond the recording
+MAX_PERSONS = 20
+COMPANY = 100  # first stage of the random numbers of other people
 N_CONTROL = 8  # points of the body whose place in both frames the truth file tells
 
 
@@ -43,6 +46,8 @@ class Scene:
         bystander: Somebody else, for detectors that follow the wrong one.
         world_T_mocap: The truth that a calibration has to find.
         faults: What goes wrong.
+        others: Who else is in view.
+        n_subjects: Persons with MoCap: the first, and of the others the first ones.
 
     """
 
@@ -54,6 +59,8 @@ class Scene:
     bystander: Body
     world_T_mocap: RigidTransform
     faults: Faults
+    others: tuple[Body, ...] = ()
+    n_subjects: int = 1
 
     @property
     def lags_s(self) -> tuple[float, ...]:
@@ -70,10 +77,13 @@ def build_scene(
     motion: MotionName = 'walk',
     centre: tuple[float, float] = (0.0, 0.0),
     faults: Faults | None = None,
+    persons: int = 1,
+    subjects: int = 1,
 ) -> Scene:
     """Draw a scene.
 
-    The same seed gives the same rig, walk, transform and noise whatever the faults are.
+    The same seed gives the same rig, walk, transform and noise whatever the faults are, and
+    whoever else is there.
 
     Args:
         preset: Settings.
@@ -82,11 +92,15 @@ def build_scene(
         motion: What the person does.
         centre: Where on the floor, metres.
         faults: What goes wrong; None = nothing beyond the preset.
+        persons: How many are in view.
+        subjects: How many of them have MoCap.
 
     Raises:
-        InputError: A length that is not positive, an unknown motion.
+        InputError: A length that is not positive, an unknown motion, numbers of persons that
+            cannot be.
 
     """
+    _check_persons(persons, subjects)
     if not 0.0 < seconds <= 86400.0:
         msg = f'the length must be above 0 s and at most a day, got {seconds}'
         raise InputError(Reason.BAD_INPUT, msg)
@@ -103,7 +117,15 @@ def build_scene(
             rng_pose.uniform(-MOCAP_ORIGIN_M, MOCAP_ORIGIN_M, 3),
         ),
         faults=faults or Faults(),
-    )
+        others=tuple(
+            Body.draw(
+                _rng(preset, seed, COMPANY + number), seconds=seconds, area_m=preset.area_m,
+                centre=centre,
+            )
+            for number in range(1, persons)
+        ),
+        n_subjects=subjects,
+    )  # fmt: skip
 
 
 def simulate(
@@ -153,12 +175,39 @@ def simulate(
             control_world=control_world,
             control_mocap=control_mocap,
         ),
+        company=_company(scene, [capture for _, capture in clocks]),
+    )
+
+
+def _company(scene: Scene, captures: Sequence[Array]) -> Company | None:
+    preset = scene.preset
+    if not scene.others:
+        return None
+    frames = max(1, round(scene.seconds * preset.mocap_hz))
+    return record_company(
+        preset,
+        scene.cameras,
+        scene.others,
+        n_subjects=scene.n_subjects,
+        captures=captures,
+        mocap_t=np.arange(frames) / preset.mocap_hz,
+        world_T_mocap=scene.world_T_mocap,
+        rng=_rng(preset, scene.seed, COMPANY),
     )
 
 
 def _rng(preset: Preset, seed: int, stage: int) -> np.random.Generator:
     """Return a stream of its own for each stage, so that none shifts when another draws more."""
     return np.random.default_rng([seed, zlib.crc32(preset.name.encode()), stage])
+
+
+def _check_persons(persons: int, subjects: int) -> None:
+    if not 1 <= subjects <= persons <= MAX_PERSONS:
+        msg = (
+            f'need 1 to {MAX_PERSONS} persons and as many or fewer with MoCap, got {persons} '
+            f'and {subjects}'
+        )
+        raise InputError(Reason.BAD_INPUT, msg)
 
 
 def _check_lags(scene: Scene) -> None:

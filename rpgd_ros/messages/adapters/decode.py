@@ -10,7 +10,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array
+from rpgd_ros.core.geometry import Array, IntArray
 from rpgd_ros.core.observations import LARGEST_COORDINATE
 from rpgd_ros.messages.adapters import types
 from rpgd_ros.messages.adapters.cursor import Cursor
@@ -32,7 +32,7 @@ from rpgd_ros.messages.adapters.mocap import (
 from rpgd_ros.messages.adapters.people import Asked, People, Person
 from rpgd_ros.messages.batch import Decoded, JointBatch, crowd_batch
 from rpgd_ros.messages.cdr import MAX_MESSAGE_BYTES, CdrError
-from rpgd_ros.messages.joints import decode_joints
+from rpgd_ros.messages.joints import BEYOND, decode_joints
 from rpgd_ros.messages.layout import JOINT_TYPES, Drop, DropError
 from rpgd_ros.messages.parse import MAX_PERSONS
 
@@ -152,12 +152,30 @@ def decode(
     if not crowds:
         return Decoded(None, dropped, missing)
     head = np.array(index), np.array(stamps), frame_id or ''
+    batch = _batch(head, crowds, zero_is_missing=zero_is_missing, missing=missing)
+    return Decoded(batch, dropped, missing)
+
+
+def _batch(
+    head: tuple[IntArray, IntArray, str],
+    crowds: Sequence[tuple[Person, ...]],
+    *,
+    zero_is_missing: bool,
+    missing: dict[str, int],
+) -> JointBatch:
+    """Put the persons of all messages together; `missing` is changed in place."""
     values, scores = _stacked(crowds)
     _clear_missing(values, zero_is_missing=zero_is_missing, missing=missing)
-    if values.shape[1] > 1:
-        return Decoded(crowd_batch(head, values, scores), dropped, missing)
-    batch = JointBatch(*head, values[:, 0], None if scores is None else scores[:, 0])
-    return Decoded(batch, dropped, missing)
+    if values.shape[1] == 1:
+        return JointBatch(*head, values[:, 0], None if scores is None else scores[:, 0])
+    n_read = sum(min(len(crowd), MAX_PERSONS) for crowd in crowds)
+    # Places of persons who are not there are no missing joints.
+    missing['nan'] = missing.get('nan', 0) - (values[..., 0].size - n_read * values.shape[2])
+    for reason, n in (('nan', missing['nan']), (BEYOND, sum(map(len, crowds)) - n_read)):
+        missing[reason] = n
+        if not n:
+            del missing[reason]
+    return crowd_batch(head, values, scores)
 
 
 def _stacked(crowds: Sequence[tuple[Person, ...]]) -> tuple[Array, Array | None]:
