@@ -23,7 +23,7 @@ from rpgd_ros.simulation import SimulatedRecording, build_scene, preset, simulat
 from rpgd_ros.simulation.export import messages_of, rig_of
 from rpgd_ros.skeletons import joint_names, landmarks, match_joints
 
-MAX_DEG, MAX_M = 0.15, 0.015  # of a walk of 8 s in our own types: 0.04 deg, 4 mm
+MAX_DEG, MAX_M = 0.04, 0.001  # of a walk of 8 s in our own types: 0.012 deg, 0.2 mm
 
 Calibrate = Callable[[Rig, Sequence[Message]], RigidTransform]
 

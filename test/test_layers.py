@@ -47,6 +47,12 @@ ROS_MODULES = frozenset({
     'rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'rosidl_runtime_py', 'sensor_msgs', 'std_msgs',
     'std_srvs', 'tf2_msgs', 'visualization_msgs',
 })  # fmt: skip
+# Messages of drivers, which those who have the driver have installed.
+DRIVER_MODULES = frozenset({
+    'hri_msgs', 'mocap4r2_msgs', 'motion_capture_tracking_interfaces', 'openpose_ros2_msgs',
+    'xsens_mvn_msgs', 'xsens_mvn_ros_msgs', 'yolo_msgs', 'yolov8_msgs', 'zed_interfaces',
+    'zed_msgs',
+})  # fmt: skip
 # The rooms that a dependency may enter; numpy may enter all, and what is not here none.
 DEPENDENCIES = {
     'backports': frozenset({'io'}),  # zstd, as rosbags brings it
@@ -65,7 +71,7 @@ DEPENDENCIES = {
     'yaml': frozenset({'io', 'datasets', 'simulation', 'report', 'ros', 'apps'}),
     'launch': frozenset({'launch'}),
     'launch_ros': frozenset({'launch'}),
-    **dict.fromkeys(ROS_MODULES, frozenset({'ros'})),
+    **dict.fromkeys(ROS_MODULES | DRIVER_MODULES, frozenset({'ros'})),
 }
 
 
@@ -257,7 +263,15 @@ def test_every_dependency_is_declared_for_rosdep() -> None:
     keys |= {name: f'python3-{name}' for name in ('matplotlib', 'numpy', 'rich', 'yaml')}
     # Of datasets, cluster, import, report and benchmark.
     optional = {'cdflib', 'distributed', 'ezc3d', 'jinja2', 'plotly', 'poselib', 'scipy'}
-    without_key = {PACKAGE, 'rosbags', 'backports', 'lz4', *optional, *sys.stdlib_module_names}
+    without_key = {
+        PACKAGE,
+        'rosbags',
+        'backports',
+        'lz4',
+        *optional,
+        *DRIVER_MODULES,
+        *sys.stdlib_module_names,
+    }
     tops = {name.split('.')[0] for module in package_modules() for _, name in imports(module)}
     used = {keys.get(top, top) for top in tops - without_key}
     declared = re.findall('<exec_depend>(.*)</exec_depend>', (ROOT / 'package.xml').read_text())

@@ -5,6 +5,7 @@ The bytes are those of the wire and of bags (CDR): a live node takes them from r
 """
 
 from rpgd_ros.messages.adapters import (
+    HEADERLESS_TYPES,
     KEYPOINT_TYPES,
     NORMALISED_TYPES,
     PARTIAL_TYPES,
@@ -29,6 +30,7 @@ from rpgd_ros.messages.tf import TF_MESSAGE, Link, decode_tf, encode_tf
 
 __all__ = [
     'CAMERA_INFO',
+    'HEADERLESS_TYPES',
     'JOINT_TYPES',
     'KEYPOINT_TYPES',
     'MAX_FRAME_ID',

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
-from geometry_msgs.msg import PoseArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -25,13 +24,11 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from sensor_msgs.msg import PointCloud2
 
-from rpgd_ros.messages import JOINT_TYPES, POINT_CLOUD2, POSE_ARRAY
+from rpgd_ros.messages import HEADERLESS_TYPES
 from rpgd_ros.ros.declare import is_given
+from rpgd_ros.ros.message_classes import message_class, not_installed, readable_types
 from rpgd_ros.ros.parameters import listed, shown
-
-MESSAGE_CLASSES: dict[str, type] = {POINT_CLOUD2: PointCloud2, POSE_ARRAY: PoseArray}
 
 DEPTH = 200  # messages: 0.8 s of a 240 Hz skeleton, longer than any callback of the node takes
 MAX_DRAINED = 50  # messages of one topic at a turn, so that the others get theirs
@@ -91,7 +88,7 @@ class JointInput:
             node: The node.
             stream: Name of the stream in the session.
             topic: Topic, relative names allowed.
-            msg_type: One of `JOINT_TYPES`, or '' for the publisher's.
+            msg_type: One of `readable_types`, or '' for the publisher's.
             deliver: Called by `flush` with stream, type, payloads and receive stamps.
 
         """
@@ -103,6 +100,8 @@ class JointInput:
         self._group = MutuallyExclusiveCallbackGroup()
         self._subscription: Subscription | None = None
         self._msg_type = ''
+        self._class: type | None = None
+        self._is_headerless = False
         self._reliability = ReliabilityPolicy.RELIABLE
         self._problem = ''
         self._is_hopeless = False
@@ -128,9 +127,13 @@ class JointInput:
         name = self._node.resolve_topic_name(self.topic)
         publishers = self._node.get_publishers_info_by_topic(name)
         types = sorted({p.topic_type for p in publishers})
-        wanted = self._given_type or next((t for t in types if t in JOINT_TYPES), '')
-        self._problem = _problem(name, wanted, types)
+        known = readable_types(self.stream)
+        wanted = self._given_type or next((t for t in types if t in known), '')
+        self._problem = _problem(name, wanted, types, known)
         self._is_hopeless = bool(types) and wanted not in types
+        if wanted and not self._is_hopeless and message_class(wanted) is None:
+            self._problem, self._is_hopeless = not_installed(name, wanted), True
+            return
         if self._incompatible and not self._problem:
             self._problem, self._is_hopeless = self._incompatible, True
         if not wanted:
@@ -171,12 +174,16 @@ class JointInput:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
         self._msg_type, self._reliability, self._incompatible = msg_type, reliability, ''
+        self._class = message_class(msg_type)
+        if self._class is None:  # given, and nobody publishes it yet
+            return
+        self._is_headerless = msg_type in HEADERLESS_TYPES
         qos = QoSProfile(
             depth=DEPTH, reliability=reliability, durability=DurabilityPolicy.VOLATILE
         )
         try:
             self._subscription = self._node.create_subscription(
-                MESSAGE_CLASSES[msg_type],
+                self._class,
                 self.topic,
                 cast('Callable[[Any], None]', self._on_message),
                 qos,
@@ -207,14 +214,16 @@ class JointInput:
         handle = self._subscription.handle
         with handle:
             for _ in range(MAX_DRAINED):
-                taken = handle.take_message(MESSAGE_CLASSES[self._msg_type], True)  # noqa: FBT003
+                taken = handle.take_message(self._class, True)  # noqa: FBT003
                 if taken is None:
                     break
                 self._take(*taken)
 
     def _take(self, payload: bytes, info: dict[str, int]) -> None:
         self._payloads.append(payload)
-        self._receive_ns.append(info['received_timestamp'])
+        # Where messages may lack a header, the time of sending is the nearest to a stamp.
+        name = 'source_timestamp' if self._is_headerless else 'received_timestamp'
+        self._receive_ns.append(info[name])
         self.n_received += 1
         self._last_message_s = time.monotonic()
         self._pending_bytes += len(payload)
@@ -230,6 +239,31 @@ class JointInput:
         self._node.get_logger().warning(self._incompatible, throttle_duration_sec=LOG_SECONDS)
 
 
+def health_by_stream(inputs: Sequence[JointInput]) -> dict[str, Health]:
+    """Ask all inputs how they are; those of the parts of one stream answer together."""
+    found: dict[str, list[Health]] = {}
+    for joints in inputs:
+        found.setdefault(joints.stream.partition('/')[0], []).append(joints.health())
+    return {stream: _together(parts) for stream, parts in found.items()}
+
+
+def _together(parts: Sequence[Health]) -> Health:
+    if len(parts) == 1:
+        return parts[0]
+    problems = [part.problem for part in parts if part.problem]
+    problem = problems[0] if problems else ''
+    if len(problems) > 1:
+        problem += f', and the like of {len(problems) - 1} more of {len(parts)} topics'
+    ages = [part.age_s for part in parts if part.age_s == part.age_s]  # not NaN
+    return parts[0]._replace(
+        problem=problem,
+        is_hopeless=any(part.is_hopeless for part in parts),
+        n_received=sum(part.n_received for part in parts),
+        rate_hz=sum(part.rate_hz for part in parts),
+        age_s=max(ages, default=float('nan')),
+    )
+
+
 def _fitting(publishers: Sequence[TopicEndpointInfo]) -> ReliabilityPolicy:
     """RELIABLE where every publisher is, else BEST_EFFORT, which hears both."""
     offered = {p.qos_profile.reliability for p in publishers}
@@ -238,11 +272,11 @@ def _fitting(publishers: Sequence[TopicEndpointInfo]) -> ReliabilityPolicy:
     return ReliabilityPolicy.BEST_EFFORT
 
 
-def _problem(name: str, wanted: str, types: Sequence[str]) -> str:
+def _problem(name: str, wanted: str, types: Sequence[str], readable: Sequence[str]) -> str:
     if not types:
         return f'nobody publishes {name}'
     if not wanted:
-        known = listed(JOINT_TYPES)
+        known = listed(readable)
         return f'{name} carries {listed([shown(t) for t in types])}; this node reads {known}'
     others = listed([shown(t) for t in types if t != wanted])
     if wanted not in types:

@@ -22,11 +22,11 @@ from std_srvs.srv import Trigger
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.messages import CAMERA_INFO
 from rpgd_ros.ros.health import PREFIX
-from rpgd_ros.ros.inputs import MESSAGE_CLASSES
+from rpgd_ros.ros.message_classes import OWN
 from rpgd_ros.ros.parameters import listed, shown
 from rpgd_ros.ros.transforms import LATCHED
 
-PLAYABLE: dict[str, type] = {**MESSAGE_CLASSES, CAMERA_INFO: CameraInfo}
+PLAYABLE: dict[str, type] = {**OWN, CAMERA_INFO: CameraInfo}
 
 SPIN_SECONDS = 0.05  # longest time without a look at the caller's condition
 PLAY_DEPTH = 1000  # messages kept for a subscriber that is behind: 1 s at 1000 messages per second

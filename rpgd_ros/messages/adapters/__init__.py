@@ -9,6 +9,7 @@ as many bytes were seen.
 from rpgd_ros.messages.adapters.decode import decode, decode_people
 from rpgd_ros.messages.adapters.parts import PartBatch, decode_parts
 from rpgd_ros.messages.adapters.types import (
+    HEADERLESS_TYPES,
     KEYPOINT_TYPES,
     NORMALISED_TYPES,
     PARTIAL_TYPES,
@@ -17,6 +18,7 @@ from rpgd_ros.messages.adapters.types import (
 )
 
 __all__ = [
+    'HEADERLESS_TYPES',
     'KEYPOINT_TYPES',
     'NORMALISED_TYPES',
     'PARTIAL_TYPES',

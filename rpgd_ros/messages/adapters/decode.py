@@ -131,6 +131,28 @@ def decode(
             needs_stamp=needs_stamp,
         )
     asked = Asked(tuple(joints), n_values)
+    return _decode_crowds(
+        msgtype,
+        payloads,
+        asked,
+        receive_ns,
+        frame_id,
+        zero_is_missing=zero_is_missing,
+        needs_stamp=needs_stamp,
+    )
+
+
+def _decode_crowds(
+    msgtype: str,
+    payloads: Sequence[bytes],
+    asked: Asked,
+    receive_ns: Sequence[int],
+    frame_id: str | None,
+    *,
+    zero_is_missing: bool,
+    needs_stamp: bool,
+) -> Decoded:
+    """Decode messages one by one; see `decode`."""
     dropped: dict[str, int] = {}
     index: list[int] = []
     stamps: list[int] = []

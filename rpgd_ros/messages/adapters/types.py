@@ -35,3 +35,5 @@ KEYPOINT_TYPES: Final = (
 )
 # Coordinates are shares of the image's width and height, whatever the rig file says.
 NORMALISED_TYPES: Final = frozenset({SKELETON_2D})
+# Messages may come without a header: their stamp is the time of their sending.
+HEADERLESS_TYPES: Final = frozenset({OPENPOSE_LIST})
