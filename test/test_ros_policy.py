@@ -20,8 +20,10 @@ from rpgd_ros.ros.client import NODE
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 # Of tf2_msgs, which the wheels do not have.
 NOT_ALWAYS = {'/tf', '/tf_static'}
-# Pictures for RViz and Foxglove.
-OVERLAYS = {f'/{NODE}/{name}' for name in ('markers', 'skeleton_world', '*/reprojection')}
+# Pictures for RViz and Foxglove, and the cameras of a rig without extrinsics.
+OVERLAYS = {
+    f'/{NODE}/{name}' for name in ('markers', 'skeleton_world', '*/reprojection', '*/pose')
+}
 
 
 class Endpoints(NamedTuple):
