@@ -16,6 +16,7 @@ from ros_scene import make_scene
 from scenes import mpjpe_px
 
 from rpgd_ros.core import Calibration, InputError, Observations, Reason, RigidTransform
+from rpgd_ros.core.config import AcceptConfig
 from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.io.frames import Frames
 from rpgd_ros.io.rig import read_rig
@@ -24,6 +25,9 @@ from rpgd_ros.ros.inputs import Health
 from rpgd_ros.ros.job import ACCEPTED, BUSY, Outcome, answer, recent_error_px, run
 from rpgd_ros.ros.worker import Worker, attempt
 from rpgd_ros.session import Session, Snapshot, solve
+from rpgd_ros.session.coverage import ImageCoverage, RoomCoverage
+from rpgd_ros.session.expect import Expected
+from rpgd_ros.session.guidance import Guidance
 
 FRAMES = Frames('studio', 'vicon')
 FINE = Health(
@@ -155,24 +159,60 @@ def test_run_that_is_stopped_saves_nothing(snapshot: Snapshot) -> None:
     assert not saved
 
 
+def guidance(**changes: Any) -> Guidance:
+    """Return what is to be said after 41 s of walking, before anybody knows how exact it is."""
+    nothing_seen = np.zeros((9, 16), np.bool_)
+    usual: dict[str, Any] = {
+        'seconds': 41.0,
+        'motion_m': 2.0,
+        'needed_motion_m': 1.0,
+        'images': (ImageCoverage('cam0', ~nothing_seen, 900),),
+        'room': RoomCoverage(2.0, (3.0, 1.0)),
+        'expected': Expected(),
+        'gates': AcceptConfig(),
+    }
+    return Guidance(**{**usual, **changes})
+
+
 def test_sentence_tells_what_to_do_next(calibration: Calibration) -> None:
     """From nothing connected to calibrated, in the order in which a person meets them."""
 
     def told(inputs: list[Health], last: Outcome | None, **state: Any) -> str:
-        defaults = {'running': '', 'motion_m': 0.0, 'needed_motion_m': 1.0, 'age_s': math.nan}
+        usual = {'running': '', 'guidance': guidance(), 'complaint': '', 'age_s': math.nan}
         found = last.calibration if last else None
-        return health.sentence(inputs, last, found, **{**defaults, **state})
+        return health.sentence(inputs, last, found, **{**usual, **state})
 
     silent = FINE._replace(problem='nobody publishes /cam0/keypoints')
     refused = Outcome(Reason.UNCERTAIN, 'sigma 3.0 deg, need 1.0')
     accepted = Outcome(ACCEPTED, '', FRAMES, 0.1, calibration, 2.0)
     assert told([FINE, silent], None) == 'Waiting: nobody publishes /cam0/keypoints.'
-    assert told([FINE], None) == 'Walk through the room: moved 0.0 m, need 1.0 m.'
-    assert 'call ~/calibrate' in told([FINE], None, motion_m=2.0)
+    still = guidance(motion_m=0.2)
+    assert (
+        told([FINE], None, guidance=still)
+        == 'Walk through the room: moved 0.2 of 1.0 m; 41 of 60 s.'
+    )
+    assert 'Call ~/calibrate' in told([FINE], None)
     assert told([FINE], None, running='start 40%') == 'Calibrating: start 40%.'
-    assert told([FINE], refused) == 'Not calibrated: sigma 3.0 deg, need 1.0.'
+    assert told([FINE], refused).startswith('Not calibrated: sigma 3.0 deg, need 1.0. ')
+    assert '41 of 60 s' in told([FINE], refused)
     assert told([FINE], refused, age_s=60.0).endswith('The transform of 60 s ago is published.')
     assert told([FINE], accepted, age_s=5.0).startswith('Calibrated 5 s ago: ')
+    bumped = told([FINE], accepted, age_s=5.0, complaint='camera cam2 is off by 9.0 px')
+    assert bumped.startswith('Attention: camera cam2 is off by 9.0 px.')
+
+
+def test_complaint_of_the_watch_is_a_warning(calibration: Calibration) -> None:
+    """Beside an accepted run, and before everything else that is said of it."""
+    last = Outcome(ACCEPTED, '', FRAMES, 0.1, replace(calibration, warnings=()), 2.0)
+    entry = health.calibration_status(
+        last, last.calibration, age_s=1.0, n_errors=0, guidance=guidance(), complaint='cam2 moved'
+    )
+    assert entry.level == health.WARN
+    assert entry.message.startswith('cam2 moved')
+    values = {pair.key: pair.value for pair in entry.values}
+    assert values['recorded_s'] == '41'
+    assert values['wanted_s'] == '60'
+    assert {'coverage', 'progress', 'expected_sigma_rotation_deg', 'advice'} <= set(values)
 
 
 @pytest.mark.parametrize(

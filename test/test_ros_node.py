@@ -114,7 +114,7 @@ def test_status_says_what_is_missing(walk: Scene, rig: Path) -> None:
     with live(rig) as node:
         assert 'nobody publishes /mocap/skeleton' in node.sentence()
         node.play(walk)
-        node.wait_until('not told', lambda: 'call ~/calibrate' in node.sentence())
+        node.wait_until('not told', lambda: 'Call ~/calibrate' in node.sentence())
         node.calibrate()
         node.wait_until('not told', lambda: 'Calibrated' in node.sentence())
 

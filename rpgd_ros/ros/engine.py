@@ -5,18 +5,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import ParamSpec, TypeVar
 
 from rclpy.node import Node
 
 from rpgd_ros.core.errors import RpgdError
+from rpgd_ros.core.result import Calibration
+from rpgd_ros.io.result_file import StoredResult
 from rpgd_ros.ros.health import in_short
 from rpgd_ros.ros.inputs import LOG_SECONDS
 from rpgd_ros.ros.job import BUSY, STOPPING, Outcome, answer, run
 from rpgd_ros.ros.results import Results
 from rpgd_ros.ros.worker import Worker, attempt
 from rpgd_ros.session import Session, Snapshot
+from rpgd_ros.session.jump import refuse_jump
+from rpgd_ros.session.levels import Level
+from rpgd_ros.session.monitor import Monitor
 
 T = TypeVar('T')
 P = ParamSpec('P')
@@ -28,6 +34,7 @@ class Engine:
     Attributes:
         session: Where the messages went.
         results: What is published.
+        monitor: What runs beside the calibrations.
         last: How the last run ended, None before the first.
         is_busy: Whether a job is running.
         running: What it does.
@@ -36,7 +43,13 @@ class Engine:
     """
 
     def __init__(
-        self, node: Node, session: Session, results: Results, *, flush: Callable[[], None]
+        self,
+        node: Node,
+        session: Session,
+        results: Results,
+        *,
+        monitor: Monitor,
+        flush: Callable[[], None],
     ) -> None:
         """Start idle.
 
@@ -44,11 +57,13 @@ class Engine:
             node: The node; its executor is where jobs are awaited.
             session: Where the messages go.
             results: Publishes and keeps poses.
+            monitor: Guides and watches.
             flush: Hands on to the session what has arrived.
 
         """
         self.session = session
         self.results = results
+        self.monitor = monitor
         self.last: Outcome | None = None
         self.is_busy = False
         self.running = ''
@@ -57,8 +72,13 @@ class Engine:
         self._flush = flush
         self._worker = Worker()
 
-    async def calibrate(self) -> Outcome:
-        """Take a snapshot, solve and save in the worker, publish; refused while a job runs."""
+    async def calibrate(self, *, is_automatic: bool) -> Outcome:
+        """Take a snapshot, solve and save in the worker, publish; refused while a job runs.
+
+        Args:
+            is_automatic: Whether nobody asked for it: then the published transform may not jump.
+
+        """
         if self.is_busy or self._worker.should_stop():
             return BUSY if self.is_busy else STOPPING
         snapshot = attempt(self._snapshot)
@@ -72,13 +92,16 @@ class Engine:
                 frames,
                 self.results.pose,
                 published_cameras=self.results.camera_poses,
-                save=partial(self.results.write, frames, self._worker),
+                check=self._gate(snapshot) if is_automatic else None,
+                save=partial(self.results.write, frames, self._worker, data=replace(snapshot)),
                 progress=self._on_progress,
                 should_stop=self._worker.should_stop,
             )
             ended = await self._in_worker(job)
             outcome = self._refusal(ended) if isinstance(ended, Exception) else ended
-        self._conclude(outcome)
+        # A copy has none of the pairs that the solve has made: they take most memory.
+        data = replace(snapshot) if isinstance(snapshot, Snapshot) else None
+        self._conclude(outcome, data, is_automatic=is_automatic)
         return outcome
 
     async def save(self) -> tuple[bool, str]:
@@ -105,6 +128,8 @@ class Engine:
         ended = attempt(self.results.step_back)
         if isinstance(ended, Exception):
             return self._told(ended, '')
+        if ended.appraisal is not None:
+            self.monitor.conclude(ended.appraisal, is_accepted=True, is_automatic=False)
         is_saved, message = await self.save()
         return is_saved, 'the previous calibration is published and saved' if is_saved else message
 
@@ -115,7 +140,22 @@ class Engine:
             Whether that could be done, and what to answer.
 
         """
-        return self._told(attempt(self.results.load), f'published from {self.results.path}')
+        ended = attempt(self.results.load)
+        if isinstance(ended, StoredResult):
+            self.watch_stored(ended)
+        return self._told(ended, f'published from {self.results.path}')
+
+    def watch_stored(self, stored: StoredResult) -> None:
+        """Keep watch over a pose from a result file."""
+        self.monitor.keep_watch(
+            stored.world_T_mocap,
+            {
+                name: Level.kept(error_px)
+                for name, error_px in stored.camera_mpjpe_px.items()
+                if error_px > 0.0  # false for NaN: it saw nothing
+            },
+            offsets_s={name: offset_s for name, (offset_s, _) in stored.time_offset_s.items()},
+        )
 
     def guarded(self, callback: Callable[P, None]) -> Callable[P, None]:
         """Keep the node alive whatever a callback raises: log it, count it and go on."""
@@ -162,11 +202,26 @@ class Engine:
         self._node.get_logger().error(message, throttle_duration_sec=LOG_SECONDS)
         return Outcome('internal_error', message)
 
-    def _conclude(self, outcome: Outcome) -> None:
+    def _gate(self, snapshot: Snapshot) -> Callable[[Calibration], None] | None:
+        """Return what refuses a jump of the published pose, None without one."""
+        pose, covariance = self.results.pose, self.results.covariance
+        if pose is None or covariance is None:
+            return None
+        return partial(
+            refuse_jump, published=pose, covariance=covariance, gates=snapshot.config.accept
+        )
+
+    def _conclude(self, outcome: Outcome, data: Snapshot | None, *, is_automatic: bool) -> None:
         before, self.last = self.last, outcome
         log = self._node.get_logger()
+        if outcome.appraisal is not None:
+            self.monitor.conclude(
+                outcome.appraisal, is_accepted=outcome.is_accepted, is_automatic=is_automatic
+            )
         if outcome.calibration is not None:
-            self.results.accept(outcome.calibration, outcome.frames)
+            self.results.accept(
+                outcome.calibration, outcome.frames, appraisal=outcome.appraisal, data=data
+            )
             message = f'calibrated: {in_short(outcome.calibration)}'
             log.info(message)
             if outcome.message:

@@ -14,6 +14,9 @@ from rpgd_ros.pairing import PairCounts
 from rpgd_ros.ros.inputs import Health
 from rpgd_ros.ros.job import Outcome, figures
 from rpgd_ros.session import MOCAP, Session
+from rpgd_ros.session.guidance import Guidance
+from rpgd_ros.session.monitor import Monitor
+from rpgd_ros.session.watch import CameraState
 
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
@@ -43,23 +46,48 @@ def status(
     )
 
 
-def input_statuses(session: Session, inputs: Mapping[str, Health]) -> list[DiagnosticStatus]:
+def input_statuses(
+    session: Session, inputs: Mapping[str, Health], monitor: Monitor
+) -> list[DiagnosticStatus]:
     """Return the entries of the MoCap system and of every camera.
 
     Args:
         session: Where the messages went.
         inputs: State of each subscription by stream.
+        monitor: What the cameras have seen, and how they fit the published pose.
 
     """
     pairs = session.pair_counts()
+    states = monitor.watch.states()
     return [
-        _input_status(name, health, session.counts(name), pairs.get(name))
+        _input_status(
+            name,
+            health,
+            session.counts(name),
+            pairs.get(name),
+            {} if name == MOCAP else _camera_figures(name, monitor, states.get(name)),
+            states[name].complaint if name in states else '',
+        )
         for name, health in inputs.items()
     ]
 
 
+def _camera_figures(name: str, monitor: Monitor, state: CameraState | None) -> dict[str, object]:
+    values: dict[str, object] = {'coverage': monitor.coverage.image(name).share}
+    if name in monitor.recent.offsets_s:
+        values['time_offset_ms'] = monitor.recent.offsets_s[name] * 1e3
+    if state is not None:
+        values |= {'error_px': state.error_px, 'accepted_px': state.level_px}
+    return values
+
+
 def _input_status(
-    name: str, health: Health, counts: Mapping[str, int], pairs: PairCounts | None
+    name: str,
+    health: Health,
+    counts: Mapping[str, int],
+    pairs: PairCounts | None,
+    figures_of_camera: Mapping[str, object],
+    complaint: str,
 ) -> DiagnosticStatus:
     values: dict[str, object] = {
         'received': health.n_received,
@@ -71,17 +99,26 @@ def _input_status(
     }
     if pairs is not None:
         values |= {'pairs': pairs.paired, 'no_match': pairs.no_match}
+    values |= figures_of_camera
     level, message = OK, 'receiving'
     if health.problem:
         # What nobody sends may still come; what cannot be read will not get better by waiting.
         level, message = (ERROR if health.is_hopeless else WARN), health.problem
     elif health.n_received and not counts['kept']:
         level, message = WARN, 'messages arrive, but none could be used'
+    elif complaint:
+        level, message = WARN, complaint
     return status(name if name == MOCAP else f'camera {name}', level, message, values)
 
 
 def calibration_status(
-    last: Outcome | None, accepted: Calibration | None, *, age_s: float, n_errors: int
+    last: Outcome | None,
+    accepted: Calibration | None,
+    *,
+    age_s: float,
+    n_errors: int,
+    guidance: Guidance | None = None,
+    complaint: str = '',
 ) -> DiagnosticStatus:
     """Return the entry of the calibration.
 
@@ -90,6 +127,8 @@ def calibration_status(
         accepted: The calibration of this process that is published, if any.
         age_s: Time since the published pose was found, NaN where none is published.
         n_errors: Exceptions that nobody foresaw.
+        guidance: How far the recording is.
+        complaint: On cameras that no longer fit the published pose, '' = none.
 
     """
     values: dict[str, object] = {
@@ -101,7 +140,11 @@ def calibration_status(
     }
     if accepted is not None:
         values |= figures(accepted)
+    if guidance is not None:
+        values |= {**guidance.figures(), 'advice': guidance.sentence}
     level, message = _verdict(last, is_published=not math.isnan(age_s))
+    if complaint:
+        level, message = max(level, WARN), f'{complaint}; {message}'
     if n_errors:
         level, message = max(level, WARN), f'{n_errors} internal errors, see the log; {message}'
     return status('calibration', level, message, values)
@@ -124,8 +167,8 @@ def sentence(
     accepted: Calibration | None,
     *,
     running: str,
-    motion_m: float,
-    needed_motion_m: float,
+    guidance: Guidance,
+    complaint: str,
     age_s: float,
 ) -> str:
     """Say to the person in the room what is missing and what to do.
@@ -135,8 +178,8 @@ def sentence(
         last: How the last run ended, None before the first.
         accepted: The calibration of this process that is published, if any.
         running: What a running solve does, '' without one.
-        motion_m: How far the body has moved, metres.
-        needed_motion_m: How far it must before an automatic run, metres.
+        guidance: How far the recording is.
+        complaint: On cameras that no longer fit the published pose, '' = none.
         age_s: Time since the published pose was found, NaN where none is published.
 
     """
@@ -144,18 +187,17 @@ def sentence(
     problems = [health.problem for health in inputs if health.problem]
     if running:
         return f'Calibrating: {running}.'
+    if complaint:
+        return f'Attention: {complaint}.{published}'
     if last is not None and last.is_accepted and accepted is not None:
         return f'Calibrated {age_s:.0f} s ago: {in_short(accepted)}.'
     if problems:
         return f'Waiting: {"; ".join(problems)}.{published}'
     if last is not None:
-        return f'Not calibrated: {last.message}.{published}'
-    if motion_m < needed_motion_m:
-        return (
-            f'Walk through the room: moved {motion_m:.1f} m, need {needed_motion_m:.1f} m.'
-            f'{published}'
-        )
-    return f'Data are coming in: call ~/calibrate, or wait for the next run.{published}'
+        return f'Not calibrated: {last.message}. {guidance.sentence}.{published}'
+    if guidance.motion_m < guidance.needed_motion_m:
+        return f'{guidance.sentence}.{published}'
+    return f'{guidance.sentence}. Call ~/calibrate, or wait for the next run.{published}'
 
 
 def in_short(calibration: Calibration) -> str:

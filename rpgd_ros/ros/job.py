@@ -17,6 +17,7 @@ from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.frames import Frames
 from rpgd_ros.session import Snapshot, solve
+from rpgd_ros.session.monitor import Appraisal, appraise
 
 ACCEPTED = 'accepted'
 NO_FRAMES = Frames('', '')
@@ -37,6 +38,7 @@ class Outcome:
         calibration: The accepted calibration, or None.
         recent_px: Mean error of the pose that is published now over the newest data, pixels; NaN
             without one.
+        appraisal: Of the pose that was found, accepted or not; None where none was.
 
     """
 
@@ -46,6 +48,7 @@ class Outcome:
     seconds: float = math.nan
     calibration: Calibration | None = None
     recent_px: float = math.nan
+    appraisal: Appraisal | None = None
 
     @property
     def is_accepted(self) -> bool:
@@ -63,6 +66,7 @@ def run(
     published: RigidTransform | None,
     *,
     published_cameras: Mapping[str, CameraPose] = NO_CAMERAS,
+    check: Callable[[Calibration], None] | None = None,
     save: Callable[[Calibration], None],
     progress: Callable[[str, float], None],
     should_stop: Callable[[], bool],
@@ -74,6 +78,7 @@ def run(
         frames: Their names.
         published: The pose that stands on the topics now, if any.
         published_cameras: The poses of placed cameras that stand there.
+        check: Raises where a calibration that is good may not be published all the same.
         save: Writes the result file.
         progress: Told the stage and its fraction done.
         should_stop: Asked whether to end early.
@@ -81,14 +86,21 @@ def run(
     """
     start = time.monotonic()
     calibration: Calibration | None = None
+    appraisal: Appraisal | None = None
     reason, message = ACCEPTED, ''
     try:
-        calibration = solve(snapshot, progress=progress, should_stop=should_stop)
+        found = solve(snapshot, progress=progress, should_stop=should_stop)
         if should_stop():
             return STOPPING
+        if check is not None:
+            check(found)
+        appraisal = appraise(snapshot, found)
+        calibration = found
         save(calibration)
     except CalibrationError as error:
         reason, message = error.reason, error.message
+        if error.calibration is not None:
+            appraisal = appraise(snapshot, error.calibration)
     except RpgdError as error:
         if calibration is None:
             reason, message = error.reason, error.message
@@ -98,7 +110,8 @@ def run(
     if calibration is not None:
         pose, poses = calibration.world_T_mocap, calibration.camera_poses
     recent = math.nan if pose is None else recent_error_px(snapshot, pose, poses)
-    return Outcome(reason, message, frames, time.monotonic() - start, calibration, recent)
+    seconds = time.monotonic() - start
+    return Outcome(reason, message, frames, seconds, calibration, recent, appraisal)
 
 
 def recent_error_px(

@@ -23,15 +23,18 @@ from rpgd_ros.ros import health
 from rpgd_ros.ros.camera_inputs import CameraInputs
 from rpgd_ros.ros.declare import LiveParameters, declare, given_values
 from rpgd_ros.ros.engine import Engine
-from rpgd_ros.ros.inputs import JointInput
+from rpgd_ros.ros.inputs import JointInput, health_by_stream
 from rpgd_ros.ros.job import answer
+from rpgd_ros.ros.overlays import Overlays
 from rpgd_ros.ros.results import Results
 from rpgd_ros.ros.settings import NodeConfig
 from rpgd_ros.ros.setup import read_setup
 from rpgd_ros.ros.transforms import LATCHED, TransformOutput
 from rpgd_ros.session import MOCAP, Session
+from rpgd_ros.session.monitor import Monitor
 
 NODE_NAME = 'rpgd_calibrator'
+LOOK_EVERY = 5  # polls: what nobody looks at runs at 2 Hz, the overlays at 10 Hz
 POLL_SECONDS = 0.1  # a publisher is found and a signal heeded within it
 
 
@@ -55,9 +58,12 @@ class CalibratorNode(Node):
         output = TransformOutput(self, with_tf=config.node.tf_mode == 'static')
         results = Results(self, output, rig.world_frame, config.node.result_file)
         session = Session(rig, config.session())
-        self._engine = Engine(self, session, results, flush=self._flush)
-        if config.node.load_on_start:
-            results.load_at_start()
+        self._monitor = Monitor(session, max_age_s=config.buffer.max_age_s)
+        self._engine = Engine(self, session, results, monitor=self._monitor, flush=self._flush)
+        stored = results.load_at_start() if config.node.load_on_start else None
+        if stored is not None:
+            self._engine.watch_stored(stored)
+        self._overlays = Overlays(self, rig, self._monitor)
         self._joints = self._open_joints(rig)
         self._cameras = CameraInputs(
             self, session, rig, self._joints, with_tf=config.node.tf_mode == 'static'
@@ -67,6 +73,7 @@ class CalibratorNode(Node):
         self._open_services()
         self._auto_timer = self._open_timers(config)
         self._live = LiveParameters(self, config, cameras, on_change=self._on_config)
+        self._n_polls = 0
 
     @property
     def is_busy(self) -> bool:
@@ -83,7 +90,9 @@ class CalibratorNode(Node):
 
     def _open_joints(self, rig: Rig) -> list[JointInput]:
         take = self._engine.guarded(self._on_joints)
-        joints = [JointInput(self, MOCAP, rig.mocap.topic, rig.mocap.type, take)]
+        topics = self._engine.session.topics().items()
+        skeletons = [(t, s) for t, s in topics if s.partition('/')[0] == MOCAP]
+        joints = [JointInput(self, s, t, rig.mocap.type, take) for t, s in skeletons]
         return joints + [
             JointInput(self, c.name, c.keypoints_topic, c.type, take) for c in rig.cameras
         ]
@@ -131,6 +140,15 @@ class CalibratorNode(Node):
             joints.poll()
         self._cameras.poll()
         self._flush()
+        self._n_polls += 1
+        if self._overlays.is_wanted or self._n_polls % LOOK_EVERY == 0:
+            self._look()
+
+    def _look(self) -> None:
+        """Take the new pairs into the running figures, and draw them where somebody looks."""
+        pairs = self._monitor.look()
+        results = self._engine.results
+        self._overlays.publish(pairs, results.published, results.accepted)
 
     def _flush(self) -> None:
         self._cameras.flush()
@@ -156,12 +174,12 @@ class CalibratorNode(Node):
             return
         self._n_at_last_run = n_received
         if self._engine.session.motion_m() >= config.buffer.min_motion:
-            await self._engine.calibrate()
+            await self._engine.calibrate(is_automatic=True)
 
     async def _on_calibrate(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        outcome = await self._engine.calibrate()
+        outcome = await self._engine.calibrate(is_automatic=False)
         response.success, response.message = outcome.is_accepted, answer(outcome)
         return response
 
@@ -184,6 +202,8 @@ class CalibratorNode(Node):
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._flush()
         self._engine.session.reset()
+        self._monitor.clear()
+        self._overlays.clear()
         response.success = True
         response.message = 'the buffers are empty; the published transform stays'
         return response
@@ -199,15 +219,24 @@ class CalibratorNode(Node):
 
     def _on_diagnostics(self) -> None:
         self._flush()
+        self._look()
         engine = self._engine
-        inputs = {joints.stream: joints.health() for joints in self._joints}
+        inputs = health_by_stream(self._joints)
         age_s = engine.results.age_s
+        config = self._live.config
+        guidance = self._monitor.guidance(config.accept, config.buffer.min_motion)
+        complaint = self._monitor.watch.complaint()
         array = DiagnosticArray(
             status=[
                 health.calibration_status(
-                    engine.last, engine.results.accepted, age_s=age_s, n_errors=engine.n_errors
+                    engine.last,
+                    engine.results.accepted,
+                    age_s=age_s,
+                    n_errors=engine.n_errors,
+                    guidance=guidance,
+                    complaint=complaint,
                 ),
-                *health.input_statuses(engine.session, inputs),
+                *health.input_statuses(engine.session, inputs, self._monitor),
             ]
         )
         array.header.stamp = self.get_clock().now().to_msg()
@@ -217,8 +246,9 @@ class CalibratorNode(Node):
             engine.last,
             engine.results.accepted,
             running=engine.running,
-            motion_m=engine.session.motion_m(),
-            needed_motion_m=self._live.config.buffer.min_motion,
+            guidance=guidance,
+            complaint=complaint,
             age_s=age_s,
         )
+        self._overlays.advice = sentence
         self._status.publish(String(data=sentence))

@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 from rpgd_ros.core.camera_pose import CameraPose
 from rpgd_ros.core.errors import InputError, Reason
-from rpgd_ros.core.geometry import RigidTransform
+from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.atomic import remove_leftovers
 from rpgd_ros.io.backups import utc
@@ -22,10 +22,14 @@ from rpgd_ros.io.frames import Frames
 from rpgd_ros.io.result_file import StoredResult, read_result, write_result
 from rpgd_ros.ros.transforms import Published, TransformOutput
 from rpgd_ros.ros.worker import Worker
+from rpgd_ros.session import Snapshot
+from rpgd_ros.session.monitor import Appraisal
+from rpgd_ros.session.snapshot_file import remove_snapshot, write_snapshot
 
 DEFAULT_FOLDER = Path('~/.ros/rpgd')
 DEFAULT_MOCAP_FRAME = 'mocap'  # where neither rig file nor messages name one
 
+WITH_DATA = 2  # of them, the newest, keep what they came from: it is what takes memory
 MAX_HISTORY = 10  # accepted calibrations of this process that ~/revert can go back through
 NS_PER_S = 1_000_000_000
 
@@ -37,12 +41,16 @@ class Accepted(NamedTuple):
         calibration: What was found.
         frames: Their names.
         found_ns: When, by the wall clock.
+        appraisal: What its data say of it.
+        data: What it was found from; None where that is no longer kept.
 
     """
 
     calibration: Calibration
     frames: Frames
     found_ns: int
+    appraisal: Appraisal | None = None
+    data: Snapshot | None = None
 
 
 class Results:
@@ -85,6 +93,16 @@ class Results:
         return None if self._published is None else self._published.world_T_mocap
 
     @property
+    def published(self) -> Published | None:
+        """What stands on the output topics, or None."""
+        return self._published
+
+    @property
+    def covariance(self) -> Array | None:
+        """Covariance of the published pose, as `Calibration.covariance`; None without one."""
+        return None if self._published is None else self._published.covariance
+
+    @property
     def age_s(self) -> float:
         """Time since the published pose was found, NaN where none is published."""
         return time.time() - self._found_s
@@ -98,13 +116,26 @@ class Results:
         """Return the names of all frames, given the MoCap frame as far as it is known."""
         return Frames(self._world_frame, mocap_frame or DEFAULT_MOCAP_FRAME, optical)
 
-    def accept(self, calibration: Calibration, frames: Frames) -> None:
-        """Publish an accepted calibration."""
-        self._history.append(Accepted(calibration, frames, time.time_ns()))
+    def accept(
+        self,
+        calibration: Calibration,
+        frames: Frames,
+        *,
+        appraisal: Appraisal | None = None,
+        data: Snapshot | None = None,
+    ) -> None:
+        """Publish an accepted calibration, and keep what belongs to it."""
+        self._history.append(Accepted(calibration, frames, time.time_ns(), appraisal, data))
+        if len(self._history) > WITH_DATA:
+            old = self._history[-1 - WITH_DATA]
+            self._history[-1 - WITH_DATA] = old._replace(data=None)
         self._publish_newest()
 
-    def step_back(self) -> None:
+    def step_back(self) -> Accepted:
         """Publish the accepted calibration before the published one, which is forgotten.
+
+        Returns:
+            What is published now.
 
         Raises:
             InputError: NO_DATA. There is none of this process.
@@ -118,6 +149,7 @@ class Results:
             raise InputError(Reason.NO_DATA, msg)
         self._history.pop()
         self._publish_newest()
+        return self._history[-1]
 
     def write(
         self,
@@ -126,14 +158,16 @@ class Results:
         calibration: Calibration,
         *,
         found_ns: int | None = None,
+        data: Snapshot | None = None,
     ) -> None:
-        """Write the result file; for the worker's thread.
+        """Write the result file, and beside it what it came from; for the worker's thread.
 
         Args:
             frames: Their names.
             worker: Keeps the process alive meanwhile.
             calibration: What was found.
             found_ns: When; None = now.
+            data: What it was found from. Without it a file of other data is removed.
 
         Raises:
             InputError: NOT_WRITABLE.
@@ -149,6 +183,11 @@ class Results:
                 stamp_ns=found_ns or time.time_ns(),
                 optical_frames=frames.optical,
             )
+            beside = self.path.with_suffix('.npz')
+            if data is not None:
+                write_snapshot(beside, data)
+            else:
+                remove_snapshot(beside)
 
     def write_again(self, worker: Worker) -> None:
         """Write the published calibration again; for the worker's thread.
@@ -160,11 +199,16 @@ class Results:
         if not self._history:
             msg = 'nothing to save: no calibration was accepted since the node started'
             raise InputError(Reason.NO_DATA, msg)
-        calibration, frames, found_ns = self._history[-1]
-        self.write(frames, worker, calibration, found_ns=found_ns)
+        newest = self._history[-1]
+        self.write(
+            newest.frames, worker, newest.calibration, found_ns=newest.found_ns, data=newest.data
+        )
 
-    def load(self) -> None:
+    def load(self) -> StoredResult:
         """Publish what the result file holds.
+
+        Returns:
+            What it holds.
 
         Raises:
             InputError: BAD_RESULT_FILE: there is none, it cannot be read, or its frames are not
@@ -181,29 +225,36 @@ class Results:
         frames = Frames(stored.world_frame, stored.mocap_frame, stored.optical_frames)
         self._publish(frames, stored, found_ns=stored.stamp_ns)
         self._output.publish_error(stored.mpjpe_px)
+        return stored
 
-    def load_at_start(self) -> None:
-        """Publish what the result file holds, if there is one; say so where it is a bad one."""
+    def load_at_start(self) -> StoredResult | None:
+        """Publish what the result file holds, if there is one; say so where it is a bad one.
+
+        Returns:
+            What it holds, None where nothing is published.
+
+        """
         remove_leftovers(self.path)
         if not self.path.exists():
-            return
+            return None
         try:
-            self.load()
+            stored = self.load()
         except InputError as error:
             message = f'nothing is published from the result file: {error.message}'
             self._node.get_logger().warning(message)
-        else:
-            found = utc(round(self._found_s * NS_PER_S))
-            message = f'published the transform of {self.path}, found {found}'
-            self._node.get_logger().info(message)
+            return None
+        found = utc(round(self._found_s * NS_PER_S))
+        message = f'published the transform of {self.path}, found {found}'
+        self._node.get_logger().info(message)
+        return stored
 
     def publish_error(self, error_px: float) -> None:
         """Publish the mean error of the published pose over the newest data, pixels."""
         self._output.publish_error(error_px)
 
     def _publish_newest(self) -> None:
-        calibration, frames, found_ns = self._history[-1]
-        self._publish(frames, calibration, found_ns=found_ns)
+        newest = self._history[-1]
+        self._publish(newest.frames, newest.calibration, found_ns=newest.found_ns)
 
     def _publish(
         self, frames: Frames, found: Calibration | StoredResult, *, found_ns: int

@@ -27,6 +27,7 @@ SPREADS = 6.0  # of the windows of the accepted recording, robust standard devia
 SHIFT_SHARE = 0.5  # of the level that the whole body may be shifted in the image
 ERROR_BIASES = 4.0  # of what lasting offsets of single joints do to the figures of all
 SHIFT_BIASES = 6.0
+KEPT_BIAS = 0.25  # of an error, where twelve joints have nothing but lasting offsets
 CREEP = 1.25  # of the level that automatic calibrations may add without anybody looking
 
 
@@ -49,6 +50,14 @@ class Level:
     shift_px: Array = field(default_factory=lambda: np.zeros(2))
     shift_spread_px: float = 0.0
     bias_px: float = 0.0
+
+    @classmethod
+    def kept(cls, error_px: float) -> Level:
+        """Return the level of a result file, which tells the error alone.
+
+        For all that is known it is all of offsets of joints that last.
+        """
+        return cls(error_px, bias_px=KEPT_BIAS * error_px)
 
     @property
     def limit_px(self) -> float:

@@ -27,12 +27,14 @@ class Pairs:
         camera: With its pose; the only camera of a rig may be the world itself.
         frame_id: Frame of its messages.
         view: Its new frames with their skeletons, stamped on the MoCap's clock.
+        offset_ns: How late its own stamps are.
 
     """
 
     camera: Camera
     frame_id: str
     view: View
+    offset_ns: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -70,11 +72,19 @@ class Recent:
         stamp_ns, values, _ = mocap.store.arrays()
         return (int(stamp_ns[-1]), values[-1].copy()) if len(stamp_ns) else None
 
+    def cameras(self) -> list[Camera]:
+        """Return the cameras whose pose is known."""
+        sources = self.session.parts()[3]
+        placed = (
+            _placed(source, self.poses.get(name), is_only=len(sources) == 1)
+            for name, source in sources.items()
+        )
+        return [camera for camera in placed if camera is not None]
+
     def joint_names(self) -> tuple[str, ...]:
         """Return the names of the joints of all that is handed out: those that a camera sees."""
         rig = self.session.parts()[0]
-        used = sorted({j for camera in rig.cameras for j, _ in camera.pairs})
-        return tuple(rig.mocap.joints[j] for j in used)
+        return tuple(rig.mocap.joints[j] for j in rig.used_joints)
 
     def _take(self, name: str, source: CameraInput, n_cameras: int) -> Pairs | None:
         rig, sync, mocap, _ = self.session.parts()
@@ -100,7 +110,9 @@ class Recent:
         track = source.track(_rows(source.store.arrays(), slice(first, end)), offset_s)
         keypoints = in_columns(track, skeletons.values.shape[1], camera.size)
         view, _ = pair(skeletons, keypoints, settings=sync, time_offset_s=offset_s)
-        return Pairs(camera, source.frame_id or name, view) if view.n_frames else None
+        if not view.n_frames:
+            return None
+        return Pairs(camera, source.frame_id or name, view, offset_ns)
 
 
 def _placed(source: CameraInput, found: RigidTransform | None, *, is_only: bool) -> Camera | None:

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a result was found from, kept beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studio import feed, make_studio, without_poses
+
+from rpgd_ros.core import InputError, Reason
+from rpgd_ros.session import Session, Snapshot, solve
+from rpgd_ros.session.snapshot_file import read_snapshot, remove_snapshot, write_snapshot
+
+
+@pytest.fixture(scope='module')
+def snapshot() -> Snapshot:
+    """Return twelve seconds before two cameras."""
+    studio = make_studio()
+    return feed(Session(studio.rig), studio.messages, together=1000).snapshot()
+
+
+def test_kept_observations_give_the_same_bits_again(snapshot: Snapshot, tmp_path: Path) -> None:
+    """Pose and covariance, from the file alone."""
+    write_snapshot(tmp_path / 'result.npz', snapshot)
+    first, again = solve(snapshot), solve(read_snapshot(tmp_path / 'result.npz'))
+    assert again.world_T_mocap.matrix.tobytes() == first.world_T_mocap.matrix.tobytes()
+    assert again.covariance.tobytes() == first.covariance.tobytes()
+    assert again.config == first.config
+
+
+def test_cameras_without_poses_are_kept_as_such(tmp_path: Path) -> None:
+    """The solve is to place them, then as now."""
+    studio = make_studio(4)
+    taken = feed(Session(without_poses(studio.rig)), studio.messages, together=1000).snapshot()
+    write_snapshot(tmp_path / 'result.npz', taken)
+    read = read_snapshot(tmp_path / 'result.npz')
+    assert [c.camera_T_world for c in read.cameras] == [None] * 4
+    assert set(read.turns) == set(taken.turns)
+
+
+def test_kept_file_is_plain_data(snapshot: Snapshot, tmp_path: Path) -> None:
+    """Any numpy reads it, and nothing in it is a pickle."""
+    write_snapshot(tmp_path / 'result.npz', snapshot)
+    with np.load(tmp_path / 'result.npz', allow_pickle=False) as arrays:
+        assert arrays['skeletons.values'].shape == snapshot.skeletons.values.shape
+        assert arrays['camera1.keypoints.stamp_ns'].dtype == np.int64
+
+
+@pytest.mark.parametrize('data', [b'', b'PK\x03\x04 and no more', b'\x93NUMPY', b'{}'])
+def test_other_files_are_refused(tmp_path: Path, data: bytes) -> None:
+    """The message names the file."""
+    path = tmp_path / 'result.npz'
+    path.write_bytes(data)
+    with pytest.raises(InputError, match='no file of observations') as refused:
+        read_snapshot(path)
+    assert refused.value.reason is Reason.BAD_RESULT_FILE
+
+
+def test_file_of_another_result_can_be_removed_twice(tmp_path: Path) -> None:
+    """One that is not there is removed already."""
+    path = tmp_path / 'result.npz'
+    path.write_bytes(b'x')
+    remove_snapshot(path)
+    remove_snapshot(path)
+    assert not path.exists()
