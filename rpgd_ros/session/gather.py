@@ -18,9 +18,10 @@ from rpgd_ros.core.geometry import Array, IntArray
 from rpgd_ros.messages.adapters.parts import POSITION_VALUES, PartBatch
 from rpgd_ros.pairing import BufferConfig, JointStream, Samples
 
-# Parts nearer than this are of one instant. vicon_receiver stamps each segment with its own now():
-# 20 segments take about 1 ms, and the next frame of a 200 Hz system comes 5 ms after the first.
-GAP_NS: Final = 2_000_000
+# Parts nearer than this to each other are of one instant. vicon_receiver stamps each segment with
+# its own now(), tens of microseconds after the one before; between two frames of a 200 Hz system
+# there are milliseconds. A walking body moves 1.5 mm in this time.
+GAP_NS: Final = 1_000_000
 MAX_PARTS: Final = 512  # joints, and the frames between them and the root
 
 
