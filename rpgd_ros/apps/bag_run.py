@@ -22,7 +22,8 @@ from rpgd_ros.io.recording import Recording, open_recording
 from rpgd_ros.io.rig import Rig
 from rpgd_ros.pairing import BufferConfig
 from rpgd_ros.report import StreamCount
-from rpgd_ros.session import Session, SessionConfig, Snapshot, replay, solve
+from rpgd_ros.session import Session, SessionConfig, Snapshot, solve
+from rpgd_ros.session.replay import replay
 
 # A recording is finite: all of it is kept, up to a day.
 WHOLE_RECORDING_S = 86_400.0
@@ -64,12 +65,22 @@ class BagRun:
         """The pairs, at the clock offsets that were found."""
         if self.snapshot is None:
             return None
-        found = self.calibration.time_offset_s if self.calibration else {}
         tracks = tuple(
-            replace(track, time_offset_s=found.get(camera.name, (track.time_offset_s, 0.0))[0])
-            for camera, track in zip(self.snapshot.cameras, self.snapshot.keypoints, strict=True)
+            replace(track, time_offset_s=offset_s)
+            for track, offset_s in zip(self.snapshot.keypoints, self.offsets_s, strict=True)
         )
         return replace(self.snapshot, keypoints=tracks).observations
+
+    @property
+    def offsets_s(self) -> tuple[float, ...]:
+        """How late the video of each camera is stamped, found or known, seconds."""
+        if self.snapshot is None:
+            return ()
+        found = self.calibration.time_offset_s if self.calibration else {}
+        return tuple(
+            found.get(camera.name, (track.time_offset_s, 0.0))[0]
+            for camera, track in zip(self.snapshot.cameras, self.snapshot.keypoints, strict=True)
+        )
 
     @property
     def moved_m(self) -> float:

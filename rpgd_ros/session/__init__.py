@@ -8,7 +8,6 @@ The live node and `calibrate_bag` are thin shells around it. A `Session` belongs
 from rpgd_ros.session.camera_facts import TF, TF_STATIC, CameraFacts
 from rpgd_ros.session.collect import MOCAP, Session
 from rpgd_ros.session.config import SessionConfig
-from rpgd_ros.session.replay import replay
 from rpgd_ros.session.snapshot import Snapshot, solve
 
 __all__ = [
@@ -19,6 +18,5 @@ __all__ = [
     'Session',
     'SessionConfig',
     'Snapshot',
-    'replay',
     'solve',
 ]
