@@ -38,13 +38,14 @@ MIRRORED = (
 )
 
 
-def refuse_ambiguous(ratio: float) -> None:
+def refuse_ambiguous(ratio: float, calibration: Calibration | None = None) -> None:
     """Raise AMBIGUOUS where a second, different pose explains the data nearly as well.
 
     A flat body far away looks the same from two sides (the two solutions of a planar target).
 
     Args:
         ratio: `Start.rival_ratio`.
+        calibration: The refused result, for a look at it.
 
     """
     if ratio < MIN_COST_RATIO:
@@ -52,7 +53,7 @@ def refuse_ambiguous(ratio: float) -> None:
             f'two different poses explain the data: the second has {ratio:.2f} times the squared '
             f'error of the best, need {MIN_COST_RATIO}. Walk further, turn, and come nearer'
         )
-        raise CalibrationError(Reason.AMBIGUOUS, msg)
+        raise CalibrationError(Reason.AMBIGUOUS, msg, calibration=calibration)
 
 
 def refuse_swapped(sights: Sequence[Sight], calibration: Calibration) -> None:
