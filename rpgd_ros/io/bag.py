@@ -60,13 +60,16 @@ class Bag:
         """Whether messages are missing, as far as is known."""
         return bool(self.problem)
 
-    def stream(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+    def stream(
+        self, topics: Collection[str], *, longest: int = MAX_MESSAGE_BYTES
+    ) -> Iterator[tuple[str, int, bytes]]:
         """Yield the messages of some topics in the order of the recording.
 
         Where the bag breaks off, so does this; `problem` says so afterwards.
 
         Args:
             topics: Absolute names; those that the bag does not have are left out.
+            longest: Bytes of a message that are given; one that is longer loses its end.
 
         Yields:
             Topic, arrival (ns), and the serialised message.
@@ -84,7 +87,7 @@ class Bag:
         failure: InputError | None = None
         for reader in self._storages.readers:
             try:
-                yield from self._stream_one(reader, wanted)
+                yield from self._stream_one(reader, wanted, longest)
             except InputError as error:
                 failure = error
         if failure and not self.n_read:
@@ -103,7 +106,7 @@ class Bag:
         return f'{self.n_read} of {total} messages: {"; ".join(filter(None, causes))}'
 
     def _stream_one(
-        self, reader: StorageReader, topics: Collection[str]
+        self, reader: StorageReader, topics: Collection[str], longest: int
     ) -> Iterator[tuple[str, int, bytes]]:
         with Translation(self.path):
             connections = [c for c in reader.connections if c.topic in topics]
@@ -117,10 +120,19 @@ class Bag:
                 message = payload
                 if payload.startswith(ZSTD_MAGIC):
                     # Compressed message by message, as only metadata.yaml says.
-                    message = unpack_message(payload, MAX_MESSAGE_BYTES + 1)
+                    message = unpack_message(payload, longest + 1)
                 self.n_read += 1
                 # The decoder counts what is longer than a message may be, and needs no more of it.
-                yield connection.topic, receive_ns, message[: MAX_MESSAGE_BYTES + 1]
+                yield connection.topic, receive_ns, message[: longest + 1]
+
+    def definitions(self) -> dict[str, str]:
+        """Return the definition of each topic's type, '' where the bag has none (Humble)."""
+        found: dict[str, str] = {}
+        for reader in self._storages.readers:
+            for connection in reader.connections:
+                text = getattr(getattr(connection, 'msgdef', None), 'data', '')
+                found[connection.topic] = found.get(connection.topic) or str(text)
+        return found
 
     def close(self) -> None:
         """Close all files."""

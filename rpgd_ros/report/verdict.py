@@ -12,6 +12,9 @@ from rpgd_ros.core.result import Calibration
 from rpgd_ros.report.blocks import Link, number, percent
 from rpgd_ros.report.measure import Measured, swapped_names
 
+UNSURE = frozenset({Reason.UNCERTAIN, Reason.AMBIGUOUS})
+# Share of agreeing keypoints: detectors of the right person have 0.6 to 0.95.
+FEW = 0.3
 MOST_PAIRS = 3  # named on top of the page
 Kind = Literal['accepted', 'warned', 'refused']
 
@@ -82,9 +85,13 @@ def judge(measured: Measured) -> Verdict:
     gates = tuple(_gates(measured))
     places = tuple(_places(measured))
     if case.refusal is not None:
-        reason = case.refusal.reason
+        reason = _told_reason(measured, case.refusal.reason)
         headline = f'Refused: {HEADLINES.get(reason, reason.replace("_", " "))}'
-        return Verdict('refused', headline, _sentence(case.refusal.message), places, gates)
+        message = _sentence(case.refusal.message)
+        if reason is not case.refusal.reason and case.calibration is not None:
+            share = percent(case.calibration.inlier_ratio)
+            message = f'Only {share} of the keypoints agree with any transform. {message}'
+        return Verdict('refused', headline, message, places, gates)
     if case.calibration is None:
         return Verdict('refused', 'Refused: no transform was found', '', places, gates)
     doubts = list(_doubts(measured, case.calibration))
@@ -105,6 +112,14 @@ def judge(measured: Measured) -> Verdict:
         f'{case.calibration.correspondences} keypoints in {len(measured.looks)} cameras agree.'
     )
     return Verdict('accepted', headline, how, places, gates)
+
+
+def _told_reason(measured: Measured, reason: Reason) -> Reason:
+    """Return what lies behind a reason: a pose that hardly anything fits is never well known."""
+    c = measured.case.calibration
+    if reason in UNSURE and c is not None and c.inlier_ratio < FEW:
+        return Reason.TOO_FEW_INLIERS
+    return reason
 
 
 def camera_key(measured: Measured, name: str) -> str:
@@ -141,7 +156,7 @@ def _doubts(measured: Measured, c: Calibration) -> Iterator[str]:
 def _places(measured: Measured) -> Iterator[Link]:
     """Yield where the page shows what is wrong."""
     case = measured.case
-    reason = case.refusal.reason if case.refusal else None
+    reason = _told_reason(measured, case.refusal.reason) if case.refusal else None
     if not measured.looks:
         yield Link('What came in, and what became of it', 'streams')
         return
