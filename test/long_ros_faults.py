@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node for long: a hundred starts, parameter files by the thousand, half an hour of studio.
+
+Run it by name: `pytest test/long_ros_faults.py`. RPGD_ROS_SOAK_SECONDS and RPGD_ROS_FUZZ_SECONDS
+make it shorter.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fault_report import Measured
+from fuzzing import text_target
+from ros_live import WAIT_S, Live, live
+from ros_scene import Scene, make_scene
+from test_ros_faults_inputs import resident_mib, restamped
+from test_ros_faults_life import start_and_stop
+
+from rpgd_ros.core.errors import InputError
+from rpgd_ros.messages import encode_pose_array
+from rpgd_ros.ros.player import Timed
+from rpgd_ros.simulation.export import MOCAP_TOPIC
+
+pytestmark = pytest.mark.long
+
+S = 1_000_000_000
+MIB = 2**20
+SOAK_SECONDS = float(os.environ.get('RPGD_ROS_SOAK_SECONDS', '1800'))
+FUZZ_SECONDS = float(os.environ.get('RPGD_ROS_FUZZ_SECONDS', '600'))
+MESSAGES_PER_S = 1080.0
+CALL_EVERY_S = 15.0
+WARM_SHARE = 0.25  # of the time, until every bounded container is full
+MAX_SLOPE_MIB_PER_MIN = 1.0
+
+
+@pytest.fixture(scope='module')
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Return eight seconds of a walk before four cameras."""
+    return make_scene(tmp_path_factory.mktemp('walk'))
+
+
+@pytest.fixture
+def rig(walk: Scene, tmp_path: Path) -> Path:
+    """Return the rig file of the walk in a folder of the test's own."""
+    path = tmp_path / 'rig.yaml'
+    path.write_bytes(walk.rig.read_bytes())
+    return path
+
+
+@pytest.mark.fault(6)
+def test_node_starts_and_stops_a_hundred_times(rig: Path, measured: Measured) -> None:
+    """Each round ends with code 0 and leaves nothing behind."""
+    start_and_stop(rig, 100, measured)
+
+
+@dataclass
+class Soak:
+    """A walk that never ends, with faults thrown in.
+
+    Attributes:
+        walk: What is walked, again and again with later stamps.
+        rng: Chooses the faults.
+        n_faults: How many of each were injected.
+
+    """
+
+    walk: Scene
+    rng: random.Random
+    n_faults: dict[str, int] = field(default_factory=dict)
+    _last: bytes = b''
+
+    def round(self, n: int) -> Iterator[Timed]:
+        """Yield the messages of one walk through the room, some of them spoilt."""
+        first, last = self.walk.messages[0][1], self.walk.messages[-1][1]
+        shift = n * (last - first + S // 100)
+        dead = self.rng.choice([*self.walk.topics, '', '']) if n % 3 == 2 else ''
+        for topic, time_ns, payload in self.walk.messages:
+            if topic == dead and topic != MOCAP_TOPIC:
+                continue
+            stamp = int.from_bytes(payload[4:8], 'little') * S
+            stamp += int.from_bytes(payload[8:12], 'little')
+            good = restamped(payload, stamp + shift)
+            yield topic, time_ns + shift, good
+            if self.rng.random() < 0.02:
+                kind, bad = self._fault(topic, good, stamp + shift)
+                self.n_faults[kind] = self.n_faults.get(kind, 0) + 1
+                yield topic, time_ns + shift, bad
+
+    def _fault(self, topic: str, good: bytes, stamp_ns: int) -> tuple[str, bytes]:
+        if topic == MOCAP_TOPIC and self.rng.random() < 0.3:
+            x = np.full((12, 3), self.rng.choice((np.nan, np.inf, 1e300, 0.0)))
+            return 'numbers', encode_pose_array(stamp_ns, 'mocap', x)
+        cut = self.rng.randrange(len(good))
+        return self.rng.choice((
+            ('cut', good[:cut]),
+            ('twice', good),
+            ('zero stamp', restamped(good, 0)),
+            ('future', restamped(good, stamp_ns + 3600 * S)),
+            ('oversized', good + bytes(self.rng.choice((300_000, MIB)))),
+            ('noise', self.rng.randbytes(200)),
+        ))  # fmt: skip
+
+
+def descriptors(pid: int) -> int:
+    """Return the number of open files of a process."""
+    return len(list(Path(f'/proc/{pid}/fd').iterdir()))
+
+
+def threads(pid: int) -> int:
+    """Return the number of threads of a process."""
+    return len(list(Path(f'/proc/{pid}/task').iterdir()))
+
+
+def call(node: Live, n_calls: list[int]) -> None:
+    """Call ~/calibrate and wait for whatever it answers, while nothing else is sent."""
+    called = node.client.calibrate(seconds=WAIT_S)
+    n_calls[0] += 1
+    n_calls[1] += called is not None
+
+
+@pytest.mark.fault(35)
+def test_half_an_hour_of_studio_changes_nothing(
+    walk: Scene, rig: Path, measured: Measured
+) -> None:
+    """1080 messages a second, faults among them: memory, threads and files stay as they are."""
+    soak = Soak(walk, random.Random(0))  # noqa: S311
+    seconds = (walk.messages[-1][1] - walk.messages[0][1]) / S
+    rate = MESSAGES_PER_S * seconds / len(walk.messages)
+    usage: list[tuple[float, float, int, int]] = []
+    n_calls = [0, 0]
+    with live(rig, 'buffer.max_frames:=5000', 'auto.enabled:=true', 'auto.period_s:=5.0') as node:
+        node.advertise(walk.topics)
+        pid, start, n = node.child.process.pid, time.monotonic(), 0
+        last_call = start
+        while (elapsed := time.monotonic() - start) < SOAK_SECONDS:
+            node.peer.play(soak.round(n), rate=rate)
+            n += 1
+            if time.monotonic() - last_call > CALL_EVERY_S:
+                last_call = time.monotonic()
+                call(node, n_calls)
+                # Between two solves, when no thread is at work.
+                node.wait_until('busy', lambda: 'Calibrating' not in node.sentence())
+                usage.append((elapsed, resident_mib(pid), threads(pid), descriptors(pid)))
+        n_sent = sum(node.received().values())
+        assert node.child.end(signal.SIGTERM, seconds=WAIT_S) == 0
+        assert 'Traceback' not in node.child.output
+        assert 'internal error' not in node.child.output
+    warm = np.array([row for row in usage if row[0] > WARM_SHARE * SOAK_SECONDS])
+    slope = 60.0 * np.polyfit(warm[:, 0], warm[:, 1], 1)[0]
+    measured('memory', float(slope), 'MiB/min', n=n_calls[0])
+    measured(f'{n_calls[1]} of {n_calls[0]} calls answered, {n_sent} messages received')
+    measured(', '.join(f'{count} {kind}' for kind, count in sorted(soak.n_faults.items())))
+    measured('threads', float(np.ptp(warm[:, 2])), 'more or fewer')
+    measured('descriptors', float(np.ptp(warm[:, 3])), 'more or fewer')
+    assert n_calls[0] == n_calls[1]
+    assert slope < MAX_SLOPE_MIB_PER_MIN, usage
+    assert np.ptp(warm[:, 2]) <= 1, usage  # a solver's thread may be about to end
+    assert np.ptp(warm[:, 3]) <= 2, usage
+
+
+def read_in_a_child(path: Path) -> int:
+    """Read a parameter file as the node does, in a forked process; return how that ended."""
+    child = os.fork()
+    if child:
+        _, status = os.waitpid(child, 0)
+        return os.waitstatus_to_exitcode(status)
+    try:
+        os._exit(read_parameters(path))
+    finally:
+        os._exit(99)
+
+
+def read_parameters(path: Path) -> int:
+    """Read a parameter file; return 0, or 2 where it is refused in our words."""
+    import rclpy  # noqa: PLC0415
+    from rclpy.node import Node  # noqa: PLC0415
+
+    from rpgd_ros.ros.declare import given_values  # noqa: PLC0415
+    from rpgd_ros.ros.process import _init  # noqa: PLC0415
+    from rpgd_ros.ros.setup import read_setup  # noqa: PLC0415
+
+    try:
+        _init(['calibrator', '--ros-args', '--params-file', str(path)])
+        read_setup(given_values(Node('rpgd_calibrator')))
+    except InputError:
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+@pytest.mark.fault(20)
+def test_damaged_parameter_files_are_read_or_refused(
+    rig: Path, tmp_path: Path, measured: Measured
+) -> None:
+    """Read by rcl in C and then by us: neither crashes, whatever the file."""
+    import yaml  # noqa: PLC0415
+
+    tree: dict[str, Any] = {
+        'rig_file': str(rig),
+        'cameras': ['cam0', 'cam1'],
+        'ransac': {'iterations': 100, 'threshold_px': 3.0},
+        'auto': {'enabled': True},
+        'camera': {'cam0': {'units': 'pixels', 'min_confidence': 0.5}},
+    }
+    whole = {'/**': {'ros__parameters': tree}}
+    path = tmp_path / 'parameters.yaml'
+    codes: dict[int, int] = {}
+
+    def read(spoilt: str) -> None:
+        path.write_text(spoilt)
+        code = read_in_a_child(path)
+        codes[code] = codes.get(code, 0) + 1
+        assert code in {0, 2}, spoilt
+
+    target = text_target(whole, yaml.safe_dump(whole), read)
+    end = time.monotonic() + FUZZ_SECONDS
+    n = 0
+    while time.monotonic() < end:
+        target(random.Random(n))  # noqa: S311
+        n += 1
+    measured(', '.join(f'{k} x exit {c}' for c, k in sorted(codes.items())), n=n)
