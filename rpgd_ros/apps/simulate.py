@@ -47,6 +47,7 @@ examples:
   simulate --preset kinect --output far --seconds 20 --motion sway   # should be refused
   simulate --preset studio --output bad --outliers 0.4 --kind person --lag 0.02
   simulate --preset studio --output blind --no-extrinsics    # of no camera; or name some
+  simulate --preset studio --output crowd --persons 3
   simulate --preset aistpp --format dataset --sequences 20 --seconds 13 --output twin
 then:
   calibrate_bag demo/bag --rig demo/rig.yaml
@@ -107,6 +108,10 @@ def _parser() -> argparse.ArgumentParser:
     add('--bias', type=float, default=0.0, metavar='METRES', help=text)
     text = 'how late the video is stamped (default 0)'
     add('--lag', type=float, default=0.0, metavar='SECONDS', help=text)
+    text = 'how many people are in view, the person with MoCap among them (default 1)'
+    add('--persons', type=int, default=1, metavar='N', help=text)
+    text = 'how many of them have MoCap (default 1)'
+    add('--subjects', type=int, default=1, metavar='N', help=text)
     text = 'message type of the skeletons (default PointCloud2)'
     add('--mocap-type', choices=get_args(MocapType), default='PointCloud2', help=text)
     text = (
@@ -147,6 +152,8 @@ def _film_bag(
         seconds=arguments.seconds,
         motion=arguments.motion,
         faults=faults,
+        persons=arguments.persons,
+        subjects=arguments.subjects,
     )
     blind = _blind(arguments.no_extrinsics, [camera.name for camera in scene.cameras])
     recording = simulate(scene, progress=progress)
@@ -179,6 +186,9 @@ def _film_dataset(
         raise InputError(Reason.NOT_WRITABLE, msg)
     if arguments.no_extrinsics is not None:
         msg = '--no-extrinsics is for rig files: a dataset has its own layout'
+        raise InputError(Reason.BAD_INPUT, msg)
+    if (arguments.persons, arguments.subjects) != (1, 1):
+        msg = '--persons and --subjects are for bags: a dataset has one person'
         raise InputError(Reason.BAD_INPUT, msg)
     if arguments.sequences < 1:
         msg = f'--sequences must be 1 or more, got {arguments.sequences}'

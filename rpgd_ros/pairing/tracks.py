@@ -61,11 +61,13 @@ def _places(persons: Persons) -> IntArray:
         for k in np.flatnonzero(found < 0).tolist():
             if free:
                 found[k] = free.pop(0)
+                last[found[k]] = x[k]
             else:
                 found[k] = len(when)
                 when = np.append(when, 0)
                 last = np.concatenate([last, x[k : k + 1]])
-        last[found], when[found] = x, stamp_ns
+        # A joint that is missing for once is near where it was.
+        last[found], when[found] = np.where(np.isnan(x), last[found], x), stamp_ns
         place[m, who] = found
     return place
 

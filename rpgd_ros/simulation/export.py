@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import yaml
 
+from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.io.bag import BagWriter, absolute_name
@@ -77,9 +78,12 @@ def write_recording(
         progress: Called with a stage and the fraction of it that is done.
 
     Raises:
-        InputError: NOT_WRITABLE.
+        InputError: NOT_WRITABLE; several subjects in a message type that holds one.
 
     """
+    if mocap_type == 'PoseArray' and recording.n_subjects > 1:
+        msg = 'a PoseArray holds one skeleton: take PointCloud2 for several subjects'
+        raise InputError(Reason.BAD_INPUT, msg)
     total = count_messages(recording)
     with BagWriter(folder / BAG, storage=storage) as bag:
         for number, message in enumerate(messages_of(recording, mocap_type)):
@@ -95,7 +99,7 @@ def write_recording(
 
 def count_messages(recording: SimulatedRecording) -> int:
     """Return how many messages the bag of a recording holds."""
-    detections = sum(int(stream.is_sent.sum()) for stream in recording.streams)
+    detections = sum(int(recording.is_sent(v).sum()) for v in range(len(recording.streams)))
     return len(recording.mocap.stamp_ns) + detections + len(recording.cameras)
 
 
@@ -111,7 +115,7 @@ def messages_of(
     for camera in recording.cameras:
         payload = encode_camera_info(camera, first_ns, _optical_frame(camera.name))
         yield Message(f'{camera.name}/camera_info', CAMERA_INFO, first_ns, payload)
-    sent = [stream.is_sent for stream in recording.streams]
+    sent = [recording.is_sent(v) for v in range(len(recording.streams))]
     for stream, row in zip(stream_of[order].tolist(), row_of[order].tolist(), strict=True):
         if stream == 0:
             yield _skeleton(recording, row, mocap_type)
@@ -122,7 +126,7 @@ def messages_of(
 def _skeleton(recording: SimulatedRecording, row: int, mocap_type: MocapType) -> Message:
     mocap = recording.mocap
     stamp_ns, receive_ns = int(mocap.stamp_ns[row]), int(mocap.receive_ns[row])
-    joints = mocap.x_mocap[row]
+    joints = recording.skeletons(row)
     if mocap_type == 'PoseArray':
         payload = encode_pose_array(stamp_ns, MOCAP_FRAME, joints)
         return Message(MOCAP_TOPIC, POSE_ARRAY, receive_ns, payload)
@@ -133,7 +137,7 @@ def _skeleton(recording: SimulatedRecording, row: int, mocap_type: MocapType) ->
 def _keypoints(recording: SimulatedRecording, camera: int, row: int) -> Message:
     stream, name = recording.streams[camera], recording.cameras[camera].name
     payload = encode_point_cloud2(
-        int(stream.stamp_ns[row]), _optical_frame(name), stream.uv[row], stream.confidence[row]
+        int(stream.stamp_ns[row]), _optical_frame(name), *recording.detections(camera, row)
     )
     return Message(f'{name}/keypoints', POINT_CLOUD2, int(stream.receive_ns[row]), payload)
 
@@ -203,6 +207,8 @@ def truth_text(recording: SimulatedRecording) -> str:
         'joint_noise_m': truth.sigma_m,
         'outliers': {'ratio': faults.corruption.ratio, 'kind': faults.corruption.kind},
         'joint_bias': {'sigma_m': faults.bias_m, 'frame': faults.bias_frame},
+        'persons': recording.n_persons,
+        'subjects': recording.n_subjects,
         'preset': recording.preset.name,
         'seed': recording.seed,
     }

@@ -156,6 +156,44 @@ class SimulatedRecording:
             views.append(CrowdView(s.stamp_ns, x, uv[:, :, pick], scores[:, :, pick]))
         return Crowd(tuple(views), tracks, tuple(names[j] for j in joints))
 
+    @property
+    def n_persons(self) -> int:
+        """Persons in view."""
+        return 1 if self.company is None else self.company.order[0].shape[1]
+
+    @property
+    def n_subjects(self) -> int:
+        """Persons with MoCap."""
+        return 1 if self.company is None else self.company.skeleton_order.shape[1]
+
+    def is_sent(self, camera: int) -> BoolArray:
+        """(F,) whether the detector reported anybody."""
+        if self.company is None:
+            return self.streams[camera].is_sent
+        return np.asarray(np.isfinite(self.persons(camera)[0][..., 0]).any((1, 2)))
+
+    def skeletons(self, row: int) -> Array:
+        """Return what one message of the MoCap holds: (J, 3), or (S, J, 3), metres."""
+        subject: Array = self.mocap.x_mocap[row]
+        if self.company is None or self.n_subjects == 1:
+            return subject
+        everybody: Array = np.concatenate([subject[None], self.company.x_mocap[row]])
+        return np.asarray(everybody.take(self.company.skeleton_order[row], axis=0))
+
+    def detections(self, camera: int, row: int) -> tuple[Array, Array]:
+        """Return keypoints and scores of one message: (J, 2) and (J,), or (P, J, 2) and (P, J).
+
+        Of several persons only those that the detector found.
+        """
+        stream, company = self.streams[camera], self.company
+        if company is None:
+            return stream.uv[row], stream.confidence[row]
+        uv = np.concatenate([stream.uv[row, None], company.uv[camera][row]])
+        scores = np.concatenate([stream.confidence[row, None], company.confidence[camera][row]])
+        order = company.order[camera][row]
+        found = order[np.isfinite(uv[order, :, 0]).any(1)]
+        return uv[found], scores[found]
+
     def persons(self, camera: int) -> tuple[Array, Array]:
         """Return keypoints (F, P, J, 2) and scores (F, P, J) of all, in the order sent."""
         stream, company = self.streams[camera], _company_of(self)

@@ -171,19 +171,17 @@ def _decode_crowds(
         stamps.append(people.stamp_ns if people.has_header else int(receive_ns[i]))
         crowds.append(people.persons)
     missing = {NO_HEADER: n_headless} if n_headless else {}
-    if not crowds:
-        return Decoded(None, dropped, missing)
     head = np.array(index), np.array(stamps), frame_id or ''
-    batch = _batch(head, crowds, zero_is_missing=zero_is_missing, missing=missing)
+    batch = _batch(head, crowds, missing, zero_is_missing=zero_is_missing) if crowds else None
     return Decoded(batch, dropped, missing)
 
 
 def _batch(
     head: tuple[IntArray, IntArray, str],
     crowds: Sequence[tuple[Person, ...]],
+    missing: dict[str, int],
     *,
     zero_is_missing: bool,
-    missing: dict[str, int],
 ) -> JointBatch:
     """Put the persons of all messages together; `missing` is changed in place."""
     values, scores = _stacked(crowds)
