@@ -24,6 +24,8 @@ PAPER_TITLE = (
     'triplets of one frame, then gradient descent on the squared error. Generated from the code.'
 )
 
+MAX_CHOICES = 6  # that a line of the table can hold
+
 
 def calibrator_yaml() -> str:
     """Return config/calibrator.yaml."""
@@ -93,6 +95,8 @@ def range_text(parameter: Parameter) -> str:
     """Return the allowed values as text, '' where any will do."""
     s = parameter.setting
     if s.choices:
+        if len(s.choices) > MAX_CHOICES:  # of message types, which have a page of their own
+            return "'', or a type of docs/inputs.md"
         return ', '.join(choice or "''" for choice in s.choices)
     if math.isinf(s.low) and math.isinf(s.high):
         return s.unit

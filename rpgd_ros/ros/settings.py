@@ -18,7 +18,7 @@ from rpgd_ros.core.config import (
     setting,
 )
 from rpgd_ros.io.rig_types import KEYPOINT_UNITS, METRES_PER
-from rpgd_ros.messages import JOINT_TYPES
+from rpgd_ros.messages import KEYPOINT_TYPES, SKELETON_TYPES
 from rpgd_ros.pairing import BufferConfig, SyncConfig
 from rpgd_ros.session import SessionConfig
 
@@ -68,7 +68,7 @@ class MocapSettings(Stage):
 
     topic: str = setting('', 'Topic of the skeleton')
     type: str = setting(
-        '', 'Type of that topic; empty = what its publisher says', choices=('', *JOINT_TYPES)
+        '', 'Type of that topic; empty = what its publisher says', choices=('', *SKELETON_TYPES)
     )
     units: Literal['m', 'cm', 'mm', 'inch'] = setting(
         'm', 'Unit of the positions', choices=tuple(METRES_PER)
@@ -84,7 +84,7 @@ class CameraSettings(Stage):
 
     keypoints_topic: str = setting('', 'Topic of the keypoints')
     type: str = setting(
-        '', 'Type of that topic; empty = what its publisher says', choices=('', *JOINT_TYPES)
+        '', 'Type of that topic; empty = what its publisher says', choices=('', *KEYPOINT_TYPES)
     )
     camera_info_topic: str = setting('', 'Topic of the CameraInfo; empty = rig file has K')
     frame_id: str = setting('', 'Optical frame, for its pose from TF; empty = rig file has it')
