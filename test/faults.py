@@ -75,7 +75,7 @@ class Collector:
         if 'passed' not in outcomes:
             return 'skipped' if outcomes else 'no test'
         n_skipped = outcomes.count('skipped')
-        return f'pass ({n_skipped} skipped)' if n_skipped else 'pass'
+        return f'pass ({n_skipped} skipped or known to fail)' if n_skipped else 'pass'
 
 
 def summary(figures: Sequence[Figure]) -> str:

@@ -34,6 +34,7 @@ def outcome(case: Twin) -> tuple[Reason | None, bool]:
     return None, angle_deg > 3.0 * sigma_deg or shift_m > 3.0 * sigma_m
 
 
+@pytest.mark.fault(11)
 @settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(PLACE, min_size=1, max_size=200))
 def test_any_numbers_anywhere_at_length(hits: list[tuple[bool, int, float]]) -> None:
@@ -41,6 +42,7 @@ def test_any_numbers_anywhere_at_length(hits: list[tuple[bool, int, float]]) -> 
     check_damage(hits, BASE_CONFIG)
 
 
+@pytest.mark.fault(29)
 @pytest.mark.parametrize(
     'kind',
     [
@@ -61,6 +63,7 @@ def test_nothing_but_outliers_is_refused_a_hundred_times(kind: OutlierKind) -> N
         assert reason is not None or (kind == 'mixed' and not is_wrong)
 
 
+@pytest.mark.fault(26)
 @pytest.mark.parametrize('motion', ['still', 'turn_in_place', 'sway', 'walk'])
 @pytest.mark.parametrize('distance_m', [3.3, 5.0, 10.0])
 @pytest.mark.parametrize('bias_px', [0.0, 3.0])

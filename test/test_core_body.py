@@ -24,6 +24,7 @@ def scaled(case: Twin, factor: float) -> list[Sight]:
     ]
 
 
+@pytest.mark.fault(17)
 @pytest.mark.parametrize('shape', ['human36m', 'kinect', 'aistpp'])
 @pytest.mark.parametrize(
     ('factor', 'unit'), [(1000.0, 'millimetres'), (100.0, 'centimetres'), (39.37, 'inches')]

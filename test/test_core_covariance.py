@@ -122,6 +122,7 @@ def nees(found: Calibration, truth: RigidTransform) -> tuple[float, float, float
     return whole, rotation, centroid
 
 
+@pytest.mark.fault(32)
 @pytest.mark.parametrize(
     ('shape', 'faults'),
     [

@@ -28,6 +28,7 @@ def is_beyond_its_sigma(found: Calibration, case: Twin) -> bool:
     return angle_deg > 3.0 * sigma_deg or shift_m > 3.0 * sigma_m
 
 
+@pytest.mark.fault(26)
 @pytest.mark.parametrize('motion', ['still', 'sway'])
 @pytest.mark.parametrize(('distance_m', 'bias_px'), [(5.0, 0.0), (5.0, 3.0), (10.0, 3.0)])
 def test_a_person_who_stands_is_refused_although_the_pixels_fit(
@@ -44,6 +45,7 @@ def test_a_person_who_stands_is_refused_although_the_pixels_fit(
         assert 'Walk through the room' in found.message
 
 
+@pytest.mark.fault(26)
 @pytest.mark.parametrize('motion', ['turn_in_place', 'walk'])
 @pytest.mark.parametrize(('distance_m', 'bias_px'), [(5.0, 0.0), (5.0, 3.0), (10.0, 3.0)])
 def test_one_far_camera_is_never_surer_than_right(
@@ -56,6 +58,7 @@ def test_one_far_camera_is_never_surer_than_right(
         assert isinstance(found, CalibrationError) or not is_beyond_its_sigma(found, case)
 
 
+@pytest.mark.fault(26)
 @pytest.mark.parametrize('shape', ['studio', 'human36m'])
 def test_a_minute_of_walking_through_the_room_is_enough(shape: str) -> None:
     """Four cameras, 4 x 4 m: within 0.25 deg and 20 mm at every point of the body."""
@@ -70,6 +73,7 @@ def test_a_minute_of_walking_through_the_room_is_enough(shape: str) -> None:
         assert errors(found.world_T_mocap, case.truth.world_T_mocap, case.observations)[0] < 0.25
 
 
+@pytest.mark.fault(27)
 @pytest.mark.parametrize('onto', ['line', 'point'])
 @pytest.mark.parametrize('config', [CalibrationConfig(), CalibrationConfig.paper()])
 def test_joints_on_a_line_or_a_point_are_refused(onto: str, config: CalibrationConfig) -> None:
@@ -82,6 +86,7 @@ def test_joints_on_a_line_or_a_point_are_refused(onto: str, config: CalibrationC
             assert f'on one {onto}' in found.message
 
 
+@pytest.mark.fault(27)
 @pytest.mark.parametrize('shape', ['human36m', 'kinect'])
 def test_joints_on_a_plane_are_right_or_refused(shape: str) -> None:
     """Exact keypoints: within 0.1 deg, whatever the plane."""
@@ -97,6 +102,7 @@ def test_joints_on_a_plane_are_right_or_refused(shape: str) -> None:
     assert n_right >= 5
 
 
+@pytest.mark.fault(28)
 @pytest.mark.parametrize(
     ('distance_m', 'tilt_deg'), [(3, 5), (5, 20), (10, 5), (10, 20), (10, 40)]
 )
@@ -113,6 +119,7 @@ def test_a_flat_figure_is_right_or_refused(distance_m: float, tilt_deg: float) -
     assert reasons <= {Reason.AMBIGUOUS, Reason.UNCERTAIN}
 
 
+@pytest.mark.fault(28)
 def test_a_flat_figure_far_away_is_named_ambiguous() -> None:
     """Both leanings fit; the message says by how little one fits better."""
     found = [outcome(flat_figure(seed, 10.0, 20.0)) for seed in range(10)]

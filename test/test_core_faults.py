@@ -89,6 +89,7 @@ def check_damage(hits: list[tuple[bool, int, float]], config: CalibrationConfig)
     np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-9)
 
 
+@pytest.mark.fault(11)
 @settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(PLACE, min_size=1, max_size=30))
 def test_any_number_anywhere_counts_as_missing_or_as_data(
@@ -98,6 +99,7 @@ def test_any_number_anywhere_counts_as_missing_or_as_data(
     check_damage(hits, BASE_CONFIG)
 
 
+@pytest.mark.fault(11)
 @pytest.mark.parametrize('kind', ['uniform', 'swap', 'failure'])
 @pytest.mark.parametrize('ratio', [0.0, 0.5, 1.0])
 def test_damage_and_outliers_together_raise_no_other_error(kind: str, ratio: float) -> None:
@@ -116,6 +118,7 @@ def test_damage_and_outliers_together_raise_no_other_error(kind: str, ratio: flo
             assert error_deg(solve(case, x, uv), case) < 0.3
 
 
+@pytest.mark.fault(29)
 @pytest.mark.parametrize('kind', ['uniform', 'swap', 'person', 'failure', 'mixed'])
 @pytest.mark.parametrize('shape', ['human36m', 'kinect'])
 def test_up_to_sixty_percent_outliers_do_not_matter(shape: str, kind: str) -> None:
@@ -126,6 +129,7 @@ def test_up_to_sixty_percent_outliers_do_not_matter(shape: str, kind: str) -> No
         assert error_deg(found, case) < 0.3
 
 
+@pytest.mark.fault(29)
 @pytest.mark.parametrize('kind', ['uniform', 'person', 'failure', 'mixed'])
 @pytest.mark.parametrize('shape', ['human36m', 'kinect'])
 def test_nothing_but_outliers_is_refused(shape: str, kind: str) -> None:
@@ -134,6 +138,7 @@ def test_nothing_but_outliers_is_refused(shape: str, kind: str) -> None:
     assert refusal(lambda: calibrate(case.cameras, case.observations)).reason in NOT_AGREED
 
 
+@pytest.mark.fault(29)
 @pytest.mark.parametrize('kind', ['uniform', 'failure', 'mixed', 'person'])
 def test_eighty_percent_outliers_are_survived_or_refused(kind: str) -> None:
     """Never accepted with an error beyond three sigma."""
@@ -146,6 +151,7 @@ def test_eighty_percent_outliers_are_survived_or_refused(kind: str) -> None:
         assert error_deg(found, case) < max(0.3, 3.0 * found.worst_sigma[0])
 
 
+@pytest.mark.fault(29)
 @pytest.mark.parametrize('n', range(6))
 @pytest.mark.parametrize('config', [CalibrationConfig(), CalibrationConfig.paper()])
 def test_fewer_than_six_points_are_too_few(n: int, config: CalibrationConfig) -> None:
@@ -160,6 +166,7 @@ def test_fewer_than_six_points_are_too_few(n: int, config: CalibrationConfig) ->
     assert refusal(lambda: solve(case, x, few, config)).reason in TOO_FEW
 
 
+@pytest.mark.fault(29)
 def test_two_points_in_each_camera_are_too_few() -> None:
     """No camera has a triplet, although there are eight points in all."""
     case = scene('human36m', 30, 1)
@@ -186,6 +193,7 @@ def test_a_recording_of_few_frames_is_too_short() -> None:
     assert refusal(lambda: solve(case, x[::80], uv[:, ::80])).reason is Reason.TOO_FEW_FRAMES
 
 
+@pytest.mark.fault(28)
 @pytest.mark.parametrize('axis', [0, 1, 2])
 @pytest.mark.parametrize('shape', ['human36m', 'kinect', 'mpi_inf_3dhp'])
 def test_mirrored_axes_are_named(shape: str, axis: int) -> None:
@@ -196,6 +204,7 @@ def test_mirrored_axes_are_named(shape: str, axis: int) -> None:
     assert refusal(lambda: solve(case, x, uv)).reason is Reason.MIRRORED_AXES
 
 
+@pytest.mark.fault(28)
 @pytest.mark.parametrize('shape', ['human36m', 'kinect'])
 @pytest.mark.parametrize('ratio', [0.2, 0.5])
 def test_labels_swapped_in_half_of_the_frames_do_not_matter(shape: str, ratio: float) -> None:
@@ -205,6 +214,7 @@ def test_labels_swapped_in_half_of_the_frames_do_not_matter(shape: str, ratio: f
     assert error_deg(found, case) < (0.1 if shape == 'human36m' else 0.2)
 
 
+@pytest.mark.fault(28)
 @pytest.mark.parametrize('shape', ['human36m', 'kinect', 'mpi_inf_3dhp'])
 def test_labels_that_are_always_swapped_are_named(shape: str) -> None:
     """Left is right in all frames: the joint map is wrong, and the message says so."""
@@ -222,6 +232,7 @@ def test_a_skeleton_without_a_midline_that_is_always_swapped_is_refused(shape: s
     assert reason in {Reason.SWAPPED_LABELS, Reason.MIRRORED_AXES, Reason.UNCERTAIN}
 
 
+@pytest.mark.fault(17)
 @pytest.mark.parametrize(
     ('change', 'words'),
     [(1000.0, 'millimetres'), (100.0, 'centimetres'), (39.37, 'inches')],

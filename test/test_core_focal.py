@@ -27,6 +27,7 @@ def solved(
     return found, scenes.errors(found.world_T_mocap, truth, case.observations)[1]
 
 
+@pytest.mark.fault(33)
 @pytest.mark.parametrize('shape', ['human36m', 'aistpp', 'mpi_inf_3dhp'])
 @pytest.mark.parametrize(('factor', 'way'), [(0.99, 'short'), (1.01, 'long')])
 def test_focal_lengths_wrong_by_one_percent_are_said_and_covered(

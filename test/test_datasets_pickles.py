@@ -109,6 +109,7 @@ def crafted(marker: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.threat('S1')
 @pytest.mark.parametrize('name', sorted(crafted(Path('x'))))
 def test_crafted_pickle_runs_nothing(name: str, tmp_path: Path) -> None:
     """It is refused with its path, and what it would have made is not there."""
@@ -119,6 +120,7 @@ def test_crafted_pickle_runs_nothing(name: str, tmp_path: Path) -> None:
     assert not marker.exists()
 
 
+@pytest.mark.threat('S1')
 def test_place_beyond_the_data_is_refused(tmp_path: Path) -> None:
     """Five bytes that would have the unpickler lay out 32 GiB of places."""
     bomb = b'\x80\x02}r\xff\xff\xff\x7f.'
@@ -126,6 +128,7 @@ def test_place_beyond_the_data_is_refused(tmp_path: Path) -> None:
         read_arrays(saved(tmp_path / 'a.pkl', bomb))
 
 
+@pytest.mark.threat('S1')
 def test_functions_of_the_reader_cannot_be_changed(tmp_path: Path) -> None:
     """A file that sets attributes of what it names would spoil the reading of the next one."""
     build = b'\x80\x02cnumpy\ndtype\nN}X\x05\x00\x00\x00arrayK\x01s\x86b.'
@@ -135,6 +138,7 @@ def test_functions_of_the_reader_cannot_be_changed(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found['timestamps'], ARRAYS['timestamps'])
 
 
+@pytest.mark.threat('S1')
 def test_shape_beyond_the_data_is_refused(tmp_path: Path) -> None:
     """A few bytes cannot claim a terabyte."""
     data = pickled({'a': np.zeros(3)})

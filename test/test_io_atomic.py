@@ -46,6 +46,7 @@ def test_text_and_bytes_are_written_with_the_wanted_mode(tmp_path: Path) -> None
     assert leftovers(tmp_path) == []
 
 
+@pytest.mark.threat('S4')
 def test_link_as_target_is_refused(tmp_path: Path) -> None:
     """Neither the link nor what it points to changes."""
     (tmp_path / 'real').write_text('old')
@@ -75,6 +76,7 @@ def test_folder_as_target_leaves_nothing_behind(tmp_path: Path) -> None:
     assert leftovers(tmp_path) == []
 
 
+@pytest.mark.fault(24)
 def test_full_disk_keeps_the_old_file(tmp_path: Path) -> None:
     """With a limit on file sizes in place of a full disk."""
     path = tmp_path / 'a.yaml'
@@ -98,6 +100,7 @@ def test_full_disk_keeps_the_old_file(tmp_path: Path) -> None:
     assert leftovers(tmp_path) == []
 
 
+@pytest.mark.fault(24)
 def test_failure_of_any_kind_removes_the_temporary_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,6 +116,7 @@ def test_failure_of_any_kind_removes_the_temporary_file(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.fault(3)
 def test_killed_writers_leave_a_whole_file(tmp_path: Path) -> None:
     """SIGKILL at many moments of a loop of saves; leftovers go at the next start."""
     path = tmp_path / 'result.yaml'
@@ -147,6 +151,7 @@ def test_leftovers_of_living_writers_stay(tmp_path: Path) -> None:
     assert all(path.exists() for path in (alive, *others))
 
 
+@pytest.mark.fault(25)
 def test_readers_never_see_half_a_file(tmp_path: Path) -> None:
     """Four writers and a reader: each read is one whole version, the last writer wins."""
     path = tmp_path / 'a.yaml'

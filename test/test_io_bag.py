@@ -205,6 +205,7 @@ def damaged(tmp_path: Path, kind: str) -> Path:
     return path
 
 
+@pytest.mark.fault(22)
 @pytest.mark.parametrize(
     ('kind', 'message'),
     [
@@ -234,6 +235,7 @@ def test_what_is_no_bag_is_refused_in_one_sentence(
     assert str(path) in refused.value.message
 
 
+@pytest.mark.fault(22)
 @pytest.mark.parametrize('maker', ['mcap', 'mcap_chunks', 'sqlite3', 'humble_file'])
 @pytest.mark.parametrize('damage', ['cut', 'flip'])
 def test_damage_anywhere_is_an_error_or_a_partial_bag(

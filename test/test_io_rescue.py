@@ -64,6 +64,7 @@ def storage_file(folder: Path) -> Path:
     return file
 
 
+@pytest.mark.fault(22)
 @pytest.mark.parametrize('writer', WRITERS)
 def test_a_cut_file_gives_its_first_messages(tmp_path: Path, writer: Write) -> None:
     """Whatever the cut: a beginning of the recording, marked partial, or a refusal."""

@@ -159,6 +159,7 @@ def test_backups_are_limited_to_the_newest(tmp_path: Path) -> None:
     assert other.exists()
 
 
+@pytest.mark.fault(25)
 def test_several_savers_leave_one_whole_result(tmp_path: Path) -> None:
     """Node and service may save at once; every read is a whole result."""
     path = tmp_path / 'result.yaml'
@@ -221,6 +222,7 @@ def spoil(tree: dict[str, Any], path: str, value: object) -> str:
     return yaml.safe_dump(spoilt, allow_unicode=True)
 
 
+@pytest.mark.fault(23)
 @pytest.mark.parametrize(
     ('path', 'value', 'message'),
     [
@@ -273,6 +275,7 @@ def test_what_is_only_for_people_may_be_missing(tree: dict[str, Any], tmp_path: 
     assert stored.time_offset_s == {}
 
 
+@pytest.mark.fault(23)
 @pytest.mark.parametrize('text', ['', 'a: [', '&x [*x]', '!!python/name:os.system', '\x00', '[]'])
 def test_text_that_is_no_result_is_refused(tmp_path: Path, text: str) -> None:
     """Hostile or cut text ends in a plain message."""
@@ -282,6 +285,7 @@ def test_text_that_is_no_result_is_refused(tmp_path: Path, text: str) -> None:
     assert refused.value.reason is Reason.BAD_RESULT_FILE
 
 
+@pytest.mark.fault(23)
 def test_every_cut_of_a_result_is_refused(tmp_path: Path) -> None:
     """A file that ends early is never taken for a whole one."""
     text = result_text(make_calibration(), world_frame='w', mocap_frame='m', stamp_ns=STAMP_NS)

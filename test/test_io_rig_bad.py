@@ -123,6 +123,7 @@ BAD_VALUES: list[tuple[str, object, str]] = [
 ]
 
 
+@pytest.mark.fault(23)
 @pytest.mark.parametrize(('path', 'value', 'message'), BAD_VALUES)
 def test_bad_value_is_named_with_file_and_key(
     tree: dict[str, Any], tmp_path: Path, path: str, value: object, message: str
@@ -180,6 +181,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.threat('S2')
 @pytest.mark.parametrize('name', HOSTILE)
 def test_hostile_text_ends_quickly_in_a_plain_message(name: str) -> None:
     """Nothing is run, nothing grows, nothing else is raised."""
@@ -208,6 +210,7 @@ def test_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         assert refused.value.reason is Reason.BAD_RIG
 
 
+@pytest.mark.fault(23)
 @settings(derandomize=True, max_examples=200, deadline=None)
 @given(st.text(max_size=200) | st.binary(max_size=100).map(lambda b: b.decode('latin-1')))
 def test_any_text_is_refused_in_our_words(text: str) -> None:
@@ -216,6 +219,7 @@ def test_any_text_is_refused_in_our_words(text: str) -> None:
         parse_rig(text)
 
 
+@pytest.mark.fault(23)
 @settings(derandomize=True, max_examples=200, deadline=None)
 @given(data=st.data())
 def test_any_damage_to_a_value_is_refused_or_read(data: st.DataObject) -> None:

@@ -37,7 +37,9 @@ ROOMS = {
     'apps': SESSION | {'session', 'datasets', 'importing', 'simulation', 'report', 'ros'},
 }
 # The programs that need ROS; all others run where it was never installed.
-ROS_PROGRAMS = frozenset({f'{PACKAGE}.apps.calibrator', f'{PACKAGE}.apps.demo'})
+ROS_PROGRAMS = frozenset({
+    f'{PACKAGE}.apps.bench_live', f'{PACKAGE}.apps.calibrator', f'{PACKAGE}.apps.demo',
+})  # fmt: skip
 
 # The one module that reads pickles: nothing that they name is found (test_datasets_pickles.py).
 PICKLE_READER = f'{PACKAGE}.datasets.pickles'
@@ -239,6 +241,7 @@ RULES: list[Rule] = [
 ]
 
 
+@pytest.mark.threat('S1')
 @pytest.mark.parametrize('rule', RULES)
 def test_no_module_of_the_package_breaks_the_rule(rule: Rule) -> None:
     """The whole package keeps it; the message names file, line and offence."""

@@ -52,6 +52,7 @@ def stamped(sec: int, nanosec: int) -> bytes:
     )  # fmt: skip
 
 
+@pytest.mark.fault(10)
 @pytest.mark.parametrize(
     ('reason', 'msgtype', 'payload'),
     [
@@ -115,6 +116,7 @@ def test_data_shorter_than_its_joints_is_malformed() -> None:
     assert decode([peers.serialise(message)]).dropped == {'malformed': 1}
 
 
+@pytest.mark.fault(10)
 @settings(max_examples=200)
 @given(
     is_cloud=st.booleans(),
@@ -168,6 +170,7 @@ def plausible(xyz: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return np.where(is_good[:, None], xyz, np.nan)
 
 
+@pytest.mark.fault(10)
 @settings(max_examples=200)
 @given(st.binary(max_size=300), st.sampled_from(JOINT_TYPES))
 def test_random_bytes_are_dropped(tail: bytes, msgtype: str) -> None:
@@ -186,6 +189,7 @@ def test_a_cut_message_is_refused_by_both(cut: int) -> None:
         peers.read(GOOD_CLOUD[:cut], POINT_CLOUD2)
 
 
+@pytest.mark.threat('S8')
 def test_counts_that_lie_allocate_nothing() -> None:
     """Four billion fields, poses, characters or bytes are refused before anything is built."""
     lies = []

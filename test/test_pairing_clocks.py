@@ -21,6 +21,7 @@ from streams import (
 )
 
 
+@pytest.mark.fault(12)
 @pytest.mark.parametrize('together', [1, 333])
 @pytest.mark.parametrize('seed', range(10))
 def test_damaged_stream_equals_the_sorted_unique_messages(seed: int, together: int) -> None:
@@ -49,6 +50,7 @@ def test_stray_at_the_start_does_not_set_the_time() -> None:
     assert contents(stream) == {m.stamp_ns: m.value for m in good}
 
 
+@pytest.mark.fault(12)
 def test_four_far_messages_are_refused_and_five_believed() -> None:
     """The clock of a stream is believed when five successive messages agree."""
     for n, kept in ((4, 21), (5, 26)):
@@ -80,6 +82,7 @@ def test_stream_slower_than_a_hertz_is_believed_in_fives() -> None:
     assert stream.counts['kept'] == 20
 
 
+@pytest.mark.fault(13)
 def test_bag_loop_clears_once_and_loses_nothing_after_it() -> None:
     """Three streams loop at slightly different moments: one epoch, one side only."""
     streams = [make_stream() for _ in range(3)]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
@@ -179,6 +180,7 @@ class StreamMachine(RuleBasedStateMachine):
         check_counts(self.stream)
 
 
+@pytest.mark.fault(12)
 def test_stream_follows_the_plain_rules_through_any_events() -> None:
     """A state machine mixes order, repeats, strays and jumps, and looks after each."""
     run_state_machine_as_test(
@@ -208,6 +210,7 @@ def test_duplicates_with_other_contents_do_not_depend_on_the_order() -> None:
     assert stream.arrays().values[7, 1, 0] in {3.0, 5.0}
 
 
+@pytest.mark.threat('S8')
 def test_store_is_bounded_in_number_and_age() -> None:
     """The newest stay; a smaller bound takes effect at once."""
     stream = make_stream(max_frames=100)

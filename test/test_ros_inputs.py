@@ -83,6 +83,7 @@ def test_messages_are_handed_on_in_one_go_by_flush(bench: Bench) -> None:
     assert bench.n_batches == 1
 
 
+@pytest.mark.fault(16)
 def test_silence_is_a_problem_that_may_pass(bench: Bench) -> None:
     """Before there is a publisher, the topic is named."""
     bench.input.poll()
@@ -120,6 +121,7 @@ def test_second_type_on_a_topic_is_named(bench: Bench) -> None:
         assert not bench.input.health().is_hopeless
 
 
+@pytest.mark.fault(15)
 def test_reliability_follows_the_publishers(bench: Bench) -> None:
     """A best-effort publisher that comes later is heard as well."""
     bench.talker.advertise({TOPIC: POINT_CLOUD2})
@@ -155,6 +157,7 @@ def test_topic_that_the_middleware_refuses_is_said_in_plain_words(bench: Bench) 
     assert health.is_hopeless
 
 
+@pytest.mark.fault(8)
 def test_flood_is_handed_on_before_it_grows(bench: Bench) -> None:
     """What is pending between two flushes is bounded in bytes."""
     bench.talker.advertise({TOPIC: POINT_CLOUD2})

@@ -121,6 +121,7 @@ def test_every_parameter_is_described(node: Live) -> None:
     assert not sigma.read_only
 
 
+@pytest.mark.fault(19)
 def test_parameters_are_answered_while_a_calibration_runs(walk: Scene, tmp_path: Path) -> None:
     """A run of seconds does not stop the executor's thread; it keeps its own settings."""
     rig = tmp_path / 'rig.yaml'

@@ -80,6 +80,7 @@ def test_call_during_a_stream_of_1000_messages_per_second_loses_nothing(
     assert set(during[-1]['cameras']) == {camera.name for camera in walk.recording.cameras}
 
 
+@pytest.mark.fault(26)
 def test_refusals_name_their_reason(tmp_path: Path) -> None:
     """An empty buffer and a person who stands still are no calibration."""
     scene = make_scene(tmp_path, motion='still')
@@ -94,6 +95,7 @@ def test_refusals_name_their_reason(tmp_path: Path) -> None:
         assert not (tmp_path / 'result.yaml').exists()
 
 
+@pytest.mark.fault(18)
 def test_second_caller_hears_busy_at_once(walk: Scene, rig: Path) -> None:
     """One run at a time; the second call does not wait for the first."""
     slow = ('refine.method:=adam', 'refine.iterations:=100000', 'max_seconds:=3.0')
@@ -119,6 +121,7 @@ def test_status_says_what_is_missing(walk: Scene, rig: Path) -> None:
         node.wait_until('not told', lambda: 'Calibrated' in node.sentence())
 
 
+@pytest.mark.fault(15)
 def test_best_effort_publishers_are_heard(walk: Scene, rig: Path) -> None:
     """The subscription takes the reliability of what it finds."""
     with live(rig) as node:
@@ -145,6 +148,7 @@ def test_pause_stops_collecting(walk: Scene, rig: Path) -> None:
         assert node.calibrate()[1]['reason'] == 'no_data'
 
 
+@pytest.mark.fault(10)
 def test_messages_that_cannot_be_used_are_counted_by_reason(walk: Scene, rig: Path) -> None:
     """Damage, another number of joints and another person's message cost nothing but a count."""
     with live(rig) as node:
@@ -164,6 +168,7 @@ def test_messages_that_cannot_be_used_are_counted_by_reason(walk: Scene, rig: Pa
         assert node.calibrate()[1]['xyz'] == before['xyz']
 
 
+@pytest.mark.fault(15)
 def test_forced_reliability_that_no_publisher_offers_is_an_error(rig: Path, walk: Scene) -> None:
     """The topic and the policy are named where somebody looks for them."""
     override = 'qos_overrides./mocap/skeleton.subscription.reliability:=reliable'

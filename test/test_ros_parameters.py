@@ -128,6 +128,7 @@ def test_later_values_build_on_earlier_ones() -> None:
     assert second.cameras == first.cameras
 
 
+@pytest.mark.threat('S9')
 def test_long_foreign_names_are_cut() -> None:
     """A message of any length would be a way to flood the log."""
     with pytest.raises(InputError) as refused:

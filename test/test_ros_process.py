@@ -43,6 +43,7 @@ def set_to(*parameters: str) -> list[str]:
     return ['--ros-args', *(word for p in parameters for word in ('-p', p))]
 
 
+@pytest.mark.fault(20)
 @pytest.mark.parametrize(
     ('parameters', 'said'),
     [
@@ -70,6 +71,7 @@ def test_bad_parameters_end_in_one_line_and_code_2(
     assert said in refusal(*set_to(*given), home=tmp_path)
 
 
+@pytest.mark.fault(20)
 @pytest.mark.parametrize(
     ('text', 'said'),
     [
@@ -91,6 +93,7 @@ def test_bad_parameter_files_end_in_one_line_and_code_2(
     assert said in refusal('--ros-args', '--params-file', str(path), home=tmp_path)
 
 
+@pytest.mark.fault(23)
 def test_bad_rig_file_ends_in_one_line_and_code_2(walk: Scene, tmp_path: Path) -> None:
     """The line names the file and the key."""
     tree = yaml.safe_load(walk.rig.read_text())
@@ -134,6 +137,7 @@ def test_example_parameter_file_is_taken_as_it_is(walk: Scene, tmp_path: Path) -
         assert child.end(signal.SIGTERM, seconds=WAIT_S) == 0, child.output
 
 
+@pytest.mark.fault(6)
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_the_node_cleanly(walk: Scene, number: signal.Signals) -> None:
     """Exit code 0 within two seconds, without a traceback."""
@@ -145,6 +149,7 @@ def test_signal_ends_the_node_cleanly(walk: Scene, number: signal.Signals) -> No
         assert 'Traceback' not in node.child.output
 
 
+@pytest.mark.fault(4)
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_a_running_calibration(walk: Scene, number: signal.Signals) -> None:
     """The caller hears of it, and the process does not outlast two seconds."""

@@ -44,6 +44,7 @@ def test_answer_is_the_published_transform_bit_for_bit(walk: Scene, rig: Path) -
     assert answered_bits(answer) == [value.hex() for value in (*xyz, *quat)]
 
 
+@pytest.mark.fault(5)
 def test_restart_publishes_the_kept_result(walk: Scene, rig: Path) -> None:
     """What was accepted yesterday is on the latched topic before any new data."""
     with live(rig) as node:
@@ -137,6 +138,7 @@ def test_missing_tf2_msgs_is_said_once(walk: Scene, rig: Path) -> None:
         assert node.child.output.count('tf2_msgs is not installed') == 1
 
 
+@pytest.mark.fault(21)
 def test_tf_static_carries_each_new_result(walk: Scene, rig: Path) -> None:
     """A listener of TF gets the same transform as one of ~/transform, again and again."""
     messages = pytest.importorskip('tf2_msgs.msg')

@@ -172,6 +172,7 @@ def test_zero_is_a_place_where_the_user_says_so(studio: Studio) -> None:
         assert session.counts(MOCAP).get('zero', 0) == 10 * is_missing
 
 
+@pytest.mark.fault(13)
 def test_looped_bag_starts_over_once(studio: Studio) -> None:
     """After the loop only the new side is there, in all streams, and nothing of it is lost."""
     session = Session(studio.rig)

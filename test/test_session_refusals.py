@@ -100,6 +100,7 @@ def test_empty_session_names_what_is_silent(studio: Studio) -> None:
     assert session.motion_m() > 1.0
 
 
+@pytest.mark.fault(16)
 def test_one_silent_camera_does_not_stop_the_others(studio: Studio) -> None:
     """Its view is empty."""
     messages = studio.of(MOCAP) + studio.of('cam1')
@@ -133,6 +134,7 @@ def test_skeletons_in_the_world_frame_are_refused(studio: Studio) -> None:
     assert session.snapshot().cameras
 
 
+@pytest.mark.fault(10)
 def test_no_bytes_make_the_session_fail(studio: Studio) -> None:
     """Mutations of good messages are counted, and the good ones stay as they are."""
     session = feed(Session(studio.rig), studio.messages, together=500)
