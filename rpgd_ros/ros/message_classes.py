@@ -60,7 +60,7 @@ def not_installed(topic: str, msg_type: str) -> str:
     """Say what is to be installed for a topic to be read."""
     package = msg_type.partition('/')[0]
     return (
-        f'{topic} carries {msg_type}, but Python has no {package} here: install the package '
+        f'{topic} has type {msg_type}, but Python has no {package} here: install the package '
         f'{package} (ros-jazzy-{package.replace("_", "-")}, or build it with the driver), source '
         'its setup.bash and start again; a recording of the topic can be read without it'
     )
