@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import resource
 import signal
+import subprocess
 import time
 from pathlib import Path
 
@@ -74,6 +77,28 @@ def test_signal_in_a_save_leaves_a_whole_file(
         measured('end', seconds, 's')
         assert read_result(path).stamp_ns >= before
         assert not temporary_files(rig.parent)
+
+
+@pytest.mark.fault(4)
+def test_signal_in_a_computation_is_heeded_at_once(
+    walk: Scene, rig: Path, measured: Measured
+) -> None:
+    """The caller hears of it before the node goes, and nothing is written."""
+    for n in range(repeats(10, 1)):
+        with live(rig, 'refine.method:=adam', 'refine.iterations:=100000') as node:
+            node.play(walk)
+            called = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
+            assert called is not None
+            node.wait_until('not running', lambda: 'Calibrating' in node.sentence())
+            start = time.monotonic()
+            node.child.process.send_signal((signal.SIGTERM, signal.SIGINT)[n % 2])
+            node.wait_until('no answer', called.done)
+            assert json.loads(called.result().message)['reason'] == 'cancelled'
+            assert node.child.wait(seconds=WAIT_S) == 0
+            measured('end', time.monotonic() - start, 's')
+            assert time.monotonic() - start < within(END_S)
+            assert 'Traceback' not in node.child.output
+            assert not (rig.parent / 'result.yaml').exists()
 
 
 @pytest.mark.fault(5)
@@ -159,6 +184,37 @@ def test_exception_in_a_callback_is_counted_and_survived(
         assert success
         node.wait_until('no warning', lambda: 'internal error' in node.peer.message('calibration'))
         assert node.child.output.count('internal error') <= 2  # the log is not flooded
+
+
+@pytest.mark.fault(24)
+def test_full_disk_is_said_and_harms_nothing(
+    walk: Scene, rig: Path, tmp_path: Path, measured: Measured
+) -> None:
+    """A file system of 8 MiB, filled to the last byte."""
+    disk = tmp_path / 'disk'
+    disk.mkdir()
+    mount = ['mount', '-t', 'tmpfs', '-o', 'size=8m', 'tmpfs', str(disk)]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip('only root can mount a small disk')
+    try:
+        path = disk / 'result.yaml'
+        with live(rig, f'result_file:={path}') as node:
+            node.play(walk)
+            assert node.calibrate()[1]['message'] == ''
+            old = path.read_bytes()
+            filler = disk / 'filler'
+            with contextlib.suppress(OSError), filler.open('wb', buffering=0) as file:
+                while True:
+                    file.write(bytes(512))
+            save_is_refused(node, 'No space left')
+            assert path.read_bytes() == old
+            assert not temporary_files(disk)
+            filler.unlink()
+            assert node.call('save').success
+            assert path.read_bytes() != old
+        measured('full disk told, saved later')
+    finally:
+        subprocess.run(['umount', '-l', str(disk)], check=False)  # noqa: S607
 
 
 def save_is_refused(node: Live, words: str) -> None:
