@@ -34,7 +34,7 @@ from rpgd_ros.session import MOCAP, Session
 from rpgd_ros.session.monitor import Monitor
 
 NODE_NAME = 'rpgd_calibrator'
-LOOK_EVERY = 5  # polls: what nobody looks at runs at 2 Hz, the overlays at 10 Hz
+LOOK_POLLS = 5  # until each camera has had its turn: twice a second
 POLL_SECONDS = 0.1  # a publisher is found and a signal heeded within it
 
 
@@ -73,7 +73,6 @@ class CalibratorNode(Node):
         self._open_services()
         self._auto_timer = self._open_timers(config)
         self._live = LiveParameters(self, config, cameras, on_change=self._on_config)
-        self._n_polls = 0
 
     @property
     def is_busy(self) -> bool:
@@ -140,13 +139,8 @@ class CalibratorNode(Node):
             joints.poll()
         self._cameras.poll()
         self._flush()
-        self._n_polls += 1
-        if self._overlays.is_wanted or self._n_polls % LOOK_EVERY == 0:
-            self._look()
-
-    def _look(self) -> None:
-        """Take the new pairs into the running figures, and draw them where somebody looks."""
-        pairs = self._monitor.look()
+        # Whoever looks at the overlays wants all cameras at once; else they take turns.
+        pairs = self._monitor.look(turns=1 if self._overlays.is_wanted else LOOK_POLLS)
         results = self._engine.results
         self._overlays.publish(pairs, results.published, results.accepted)
 
@@ -219,7 +213,6 @@ class CalibratorNode(Node):
 
     def _on_diagnostics(self) -> None:
         self._flush()
-        self._look()
         engine = self._engine
         inputs = health_by_stream(self._joints)
         age_s = engine.results.age_s

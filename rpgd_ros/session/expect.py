@@ -21,6 +21,7 @@ from rpgd_ros.core.geometry import Array, RigidTransform, skew
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.noise import NoiseModel, noise_at
 from rpgd_ros.core.normal import Normal, normal_equations
+from rpgd_ros.core.observations import NS_PER_S, View
 from rpgd_ros.core.refine import Descent
 from rpgd_ros.session.recent import Pairs
 
@@ -30,7 +31,9 @@ FIT_POINTS = 2000  # keypoints that the noise is fitted to: its scale is then kn
 LEAST_SHARE = 0.6
 MIN_BLOCKS = 3  # stretches of time below which their spread says nothing
 MIN_JOINTS = 4
-BLOCK_S = 1.0  # of one stretch at first; two become one whenever there are too many
+LARGEST_SCALE = 10.0  # between a run's sigma and the sums'; beyond it one of them is damaged
+GATHER_S = 2.0  # of a camera at once: a second call costs as much as hundred more frames
+BLOCK_S = 2.0  # of one stretch at first; two become one whenever there are too many
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,20 +70,32 @@ class Expectation:
         self._centroid = centroid_mocap
         self._pivot = pose @ centroid_mocap
         self._noise: NoiseModel | None = None
-        self._waiting: list[Sight] = []
+        self._waiting: dict[str, list[Sight]] = {}
+        self._unfitted: list[Sight] = []
         self._hessian, self._information = np.zeros((2, 6, 6))
         self._by_joint = np.zeros((0, 6))
         self._by_time: dict[int, Array] = {}
         self._tally: Tally | None = None
+        self._scale = (1.0, 1.0)
         self._block_ns = round(BLOCK_S * 1e9)
 
     def emptied(self) -> Expectation:
         """Return one of the same pose without data."""
-        return Expectation(self._pose, self._centroid)
+        empty = Expectation(self._pose, self._centroid)
+        empty._scale = self._scale
+        return empty
 
     def add(self, pairs: Sequence[Pairs]) -> None:
-        """Take what came since the last time."""
-        self.add_sights([Sight(new.camera, new.view) for new in pairs])
+        """Take what came since the last time.
+
+        It counts once a camera has some seconds of it, one camera at a call.
+        """
+        for new in pairs:
+            self._waiting.setdefault(new.camera.name, []).append(Sight(new.camera, new.view))
+        spans = {name: _span_s(waiting) for name, waiting in self._waiting.items()}
+        name = max(spans, key=lambda name: spans[name], default='')
+        if spans.get(name, 0.0) >= GATHER_S:
+            self.add_sights([_joined(self._waiting.pop(name))])
 
     def add_sights(self, sights: Sequence[Sight], *, weight: float = 1.0) -> None:
         """Take cameras with what they saw, with stamps.
@@ -90,22 +105,26 @@ class Expectation:
             weight: Frames that each of theirs stands for.
 
         """
-        self._waiting += [s for s in sights if s.view.n_frames]
+        self._unfitted += [s for s in sights if s.view.n_frames]
         if self._noise is None:
-            if sum(int(s.view.seen().sum()) for s in self._waiting) < FIT_POINTS:
-                return
-            try:
-                noise = noise_at(self._waiting, self._pose)
-            except CalibrationError:
-                self._waiting.clear()
-                return
-            if not noise.is_sharp and noise.share < LEAST_SHARE:
-                self._waiting.clear()
-                return
+            self._fit()
+        if self._noise is not None and self._unfitted:
+            unfitted, self._unfitted = self._unfitted, []
+            self._enter(unfitted, self._noise, weight)
+
+    def _fit(self) -> None:
+        """Fit the noise as soon as there are enough keypoints; start anew where none fits."""
+        if sum(int(s.view.seen().sum()) for s in self._unfitted) < FIT_POINTS:
+            return
+        try:
+            noise = noise_at(self._unfitted, self._pose)
+        except CalibrationError:
+            self._unfitted.clear()
+            return
+        if noise.is_sharp or noise.share >= LEAST_SHARE:
             self._noise = noise
-        waiting, self._waiting = self._waiting, []
-        if waiting:
-            self._enter(waiting, self._noise, weight)
+        else:
+            self._unfitted.clear()
 
     def expected(self) -> Expected:
         """Return what is known so far."""
@@ -122,7 +141,23 @@ class Expectation:
         )
         both = covariances(end, self._centroid)
         degrees, metres = zip(*(self._sigmas(covariance) for covariance in both), strict=True)
-        return Expected(max(degrees), max(metres))
+        return Expected(self._scale[0] * max(degrees), self._scale[1] * max(metres))
+
+    def settle(self, sigma_deg: float, sigma_m: float) -> None:
+        """Take over what a run on the same data has found, and go on from there.
+
+        A run may estimate more than the pose, and so know the pose less, or better.
+
+        Args:
+            sigma_deg: Of the rotation, degrees.
+            sigma_m: Of the body's position, metres.
+
+        """
+        now = self.expected()
+        if now.is_known and now.sigma_deg > 0.0 and now.sigma_m > 0.0:
+            scale = (sigma_deg / now.sigma_deg, sigma_m / now.sigma_m)
+            if all(1.0 / LARGEST_SCALE < s < LARGEST_SCALE for s in scale):  # False for NaN
+                self._scale = scale
 
     def _sigmas(self, covariance: Array) -> tuple[float, float]:
         """Roots of the summed variances: rotation in degrees, the body's middle in metres."""
@@ -167,3 +202,22 @@ def _blocks(sight: Sight, block_ns: int) -> list[Sight]:
         return [sight]
     number = sight.view.stamp_ns // block_ns
     return [sight.at_frames(np.flatnonzero(number == n)) for n in np.unique(number)]
+
+
+def _span_s(sights: Sequence[Sight]) -> float:
+    first, last = sights[0].view.stamp_ns, sights[-1].view.stamp_ns
+    return 0.0 if first is None or last is None else float(last[-1] - first[0]) / NS_PER_S
+
+
+def _joined(sights: Sequence[Sight]) -> Sight:
+    """Join what one camera saw, piece after piece, into one."""
+    views = [s.view for s in sights]
+    stamps = [v.stamp_ns for v in views if v.stamp_ns is not None]
+    return Sight(
+        sights[-1].camera,
+        View(
+            np.concatenate(stamps),
+            np.concatenate([v.x_mocap for v in views]),
+            np.concatenate([v.uv for v in views]),
+        ),
+    )

@@ -65,6 +65,7 @@ def appraise(snapshot: Snapshot, calibration: Calibration) -> Appraisal:
     expectation = Expectation(pose, calibration.centroid_mocap)
     n_frames, n_few = (sum(s.view.n_frames for s in part) for part in (sights, few))
     expectation.add_sights(few, weight=n_frames / max(n_few, 1))
+    expectation.settle(*calibration.worst_sigma)
     moved = [d.camera for d in calibration.disagreements if d.rival is None]
     return Appraisal(pose, agreed(levels(few, pose), moved), offsets_s, poses, expectation)
 
@@ -93,13 +94,22 @@ class Monitor:
         self._session = session
         self._expectation: Expectation | None = None
         self._n_epochs = session.n_epochs
+        self._n_looks = 0
 
-    def look(self) -> list[Pairs]:
-        """Take what came since the last time, and return it."""
+    def look(self, *, turns: int = 1) -> list[Pairs]:
+        """Take what came since the last time, and return it.
+
+        Args:
+            turns: In how many calls each camera gets its turn: one call takes milliseconds per
+                camera, for which no message is taken from the middleware.
+
+        """
         if self._n_epochs != self._session.n_epochs:
             self._n_epochs = self._session.n_epochs
             self._start_over()
-        pairs = self.recent.take()
+        names = [name for name in self._session.streams if name != MOCAP]
+        self._n_looks += 1
+        pairs = self.recent.take(names[self._n_looks % turns :: turns])
         self.coverage.add(pairs)
         self.watch.add(pairs)
         if self._expectation is not None:

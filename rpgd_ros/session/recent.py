@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,15 +55,24 @@ class Recent:
     _after_ns: dict[str, int] = field(default_factory=dict)
     _n_epochs: int = 0
 
-    def take(self) -> list[Pairs]:
-        """Return the pairs of each camera that have become whole; copies, in no one's way."""
+    def take(self, cameras: Collection[str] | None = None) -> list[Pairs]:
+        """Return the pairs that have become whole; copies, in no one's way.
+
+        Args:
+            cameras: Whose; None = of all.
+
+        """
         if self._n_epochs != self.session.n_epochs:
             self._n_epochs = self.session.n_epochs
             self._after_ns.clear()
-        _, _, mocap, cameras = self.session.parts()
+        _, _, mocap, sources = self.session.parts()
         if not len(mocap.store.stamps()):
             return []
-        found = (self._take(name, source, len(cameras)) for name, source in cameras.items())
+        found = (
+            self._take(name, source, len(sources))
+            for name, source in sources.items()
+            if cameras is None or name in cameras
+        )
         return [pairs for pairs in found if pairs is not None]
 
     def skeleton(self) -> tuple[int, Array] | None:

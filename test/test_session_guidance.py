@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Coverage, expected sigma and advice, on simulated walks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from walks import Reel, play, walk
+
+from rpgd_ros.core import CalibrationConfig, CalibrationError, RigidTransform, calibrate
+from rpgd_ros.core.config import AcceptConfig
+from rpgd_ros.core.geometry import so3_exp
+from rpgd_ros.session import Session, solve
+from rpgd_ros.session.coverage import Coverage, ImageCoverage, RoomCoverage
+from rpgd_ros.session.expect import Expectation, Expected
+from rpgd_ros.session.guidance import Guidance
+from rpgd_ros.session.monitor import Monitor, appraise
+from rpgd_ros.session.recent import Recent
+from rpgd_ros.simulation import Faults
+from rpgd_ros.simulation.export import rig_of
+from rpgd_ros.simulation.motion import MotionName
+
+
+def covered(reel: Reel, begin_s: float, end_s: float, *, max_age_s: float = 300.0) -> Coverage:
+    """Return the coverage of a stretch of time, fed by half seconds."""
+    coverage = Coverage(max_age_s)
+    for _, pairs in reel.ticks(begin_s, end_s):
+        coverage.add(pairs)
+    return coverage
+
+
+def test_each_pair_is_handed_out_once() -> None:
+    """Live, in small pieces, the same frames as the snapshot of the whole recording has."""
+    recording = walk(0, seconds=6.0)
+    session = Session(rig_of(recording))
+    recent = Recent(session)
+    found: dict[str, list[int]] = {}
+    for _ in play(recording, session):
+        for new in recent.take():
+            assert new.view.stamp_ns is not None
+            found.setdefault(new.camera.name, []).extend(new.view.stamp_ns.tolist())
+    for new in recent.take():
+        assert new.view.stamp_ns is not None
+        found.setdefault(new.camera.name, []).extend(new.view.stamp_ns.tolist())
+    snapshot = session.snapshot()
+    for camera, view in zip(snapshot.cameras, snapshot.observations.views, strict=True):
+        assert view.stamp_ns is not None
+        assert found[camera.name] == view.stamp_ns.tolist()
+    assert recent.take() == []
+
+
+def test_coverage_in_pieces_is_that_of_the_whole() -> None:
+    """The sums do not depend on how often somebody looks."""
+    reel = Reel(walk(1, seconds=12.0))
+    pieces, whole = covered(reel, 0.0, 12.0), Coverage(300.0)
+    whole.add(reel.pairs(0.0, 12.0))
+    for camera in reel.cameras:
+        assert np.array_equal(pieces.image(camera.name).seen, whole.image(camera.name).seen)
+        assert pieces.image(camera.name).n_pairs == whole.image(camera.name).n_pairs
+    assert pieces.room() == whole.room()
+    assert pieces.seconds == whole.seconds == pytest.approx(12.0, abs=1.1)
+
+
+def test_walk_through_the_room_covers_more_than_a_walk_on_the_spot() -> None:
+    """Of every image, and of the floor."""
+    far, near = (
+        covered(Reel(walk(2, seconds=30.0, motion=motion)), 0.0, 30.0)
+        for motion in ('walk', 'still')
+    )
+    for name in ('cam0', 'cam1', 'cam2', 'cam3'):
+        assert far.image(name).share > 1.5 * near.image(name).share
+    assert far.room().area_m2 > 4.0 * near.room().area_m2
+    assert far.room().extent_m[0] > 2.0
+
+
+def test_coverage_forgets_what_has_left_the_buffer() -> None:
+    """Ten seconds are kept: those in which the person stood in the other half are gone."""
+    reel = Reel(walk(3, seconds=40.0))
+    kept = covered(reel, 0.0, 40.0, max_age_s=30.0)
+    everything = covered(reel, 0.0, 40.0)
+    assert kept.seconds == pytest.approx(30.0, abs=2.0)
+    assert kept.image('cam0').n_pairs < 0.85 * everything.image('cam0').n_pairs
+
+
+@pytest.mark.parametrize('side', ['left', 'right'])
+def test_poorest_side_is_where_nobody_was(side: str) -> None:
+    """Keypoints in one half of an image only."""
+    reel = Reel(walk(4, seconds=10.0))
+    view, width = reel.views[0], reel.cameras[0].size[0]
+    outside = (view.uv[..., 0] < width / 2) if side == 'left' else view.uv[..., 0] >= width / 2
+    reel.views[0] = replace(view, uv=np.where(outside[..., None], np.nan, view.uv))
+    assert covered(reel, 0.0, 10.0).image('cam0').poorest_side == side
+
+
+@pytest.mark.parametrize(('motion', 'bias_m'), [('walk', 0.0), ('walk', 0.02), ('still', 0.02)])
+def test_expected_sigma_is_that_of_the_calibration_to_come(
+    motion: MotionName, bias_m: float
+) -> None:
+    """From a run on eight seconds and the sums of 24 more, within a factor of two."""
+    recording = walk(5, seconds=32.0, motion=motion, faults=Faults(bias_m=bias_m))
+    reel = Reel(recording)
+
+    def run(end_s: float) -> Any:
+        views = tuple(s.view for s in reel.sights(0.0, end_s))
+        try:
+            observations = replace(reel.observations, views=views)
+            return calibrate(recording.cameras, observations, config=CalibrationConfig())
+        except CalibrationError as refused:
+            return refused.calibration
+
+    first = run(8.0)
+    expectation = Expectation(first.world_T_mocap, first.centroid_mocap)
+    expectation.add_sights(reel.sights(0.0, 8.0))
+    expectation.settle(*first.worst_sigma)
+    assert expectation.expected().sigma_deg == pytest.approx(first.worst_sigma[0])
+    for _, pairs in reel.ticks(8.0, 32.0):
+        for new in pairs:
+            expectation.add([new])
+    expected = expectation.expected()
+    sigma_deg, sigma_m = run(32.0).worst_sigma
+    assert 0.5 < expected.sigma_deg / sigma_deg < 2.0
+    assert 0.5 < expected.sigma_m / sigma_m < 2.0
+
+
+def test_pose_that_explains_nothing_has_no_expected_sigma() -> None:
+    """A wrong pose would be known very exactly."""
+    recording = walk(6, seconds=8.0)
+    wrong = RigidTransform(so3_exp([1.0, 1.0, 0.0]), np.array([0.5, 0.5, 0.0]))
+    expectation = Expectation(wrong @ recording.truth.world_T_mocap, np.zeros(3))
+    for _, pairs in Reel(recording).ticks(0.0, 8.0):
+        expectation.add(pairs)
+    assert not expectation.expected().is_known
+
+
+def guide(**changes: Any) -> Guidance:
+    """Return what is known after 41 s of which cam2 has seen little."""
+    half_seen = np.zeros((9, 16), np.bool_)
+    half_seen[:, 8:] = True
+    little = np.zeros((9, 16), np.bool_)
+    little[3:5, 12:14] = True
+    usual: dict[str, Any] = {
+        'seconds': 41.0,
+        'motion_m': 2.0,
+        'needed_motion_m': 1.0,
+        'images': (
+            ImageCoverage('cam0', half_seen, 9000),
+            ImageCoverage('cam1', half_seen, 9000),
+            ImageCoverage('cam2', little, 60),
+        ),
+        'room': RoomCoverage(4.0, (3.0, 1.5)),
+        'expected': Expected(),
+        'gates': AcceptConfig(),
+    }
+    return Guidance(**{**usual, **changes})
+
+
+def test_sentence_names_the_camera_the_side_and_the_time() -> None:
+    """What a person can do at once."""
+    assert guide().sentence == (
+        'cam2 has seen 3% of its image: walk to the left half of it; 41 of 60 s'
+    )
+
+
+def test_time_that_is_asked_for_follows_from_how_exact_it_is() -> None:
+    """Twice too uncertain: four times as long; within the gates: enough."""
+    twice = guide(expected=Expected(2.0, 0.01))
+    assert twice.wanted_s == pytest.approx(164.0)
+    assert '41 of 164 s' in twice.sentence
+    assert 'known to 2.00 deg (need 1.00) and 10 mm (need 50) if stopped now' in twice.sentence
+    assert twice.progress == pytest.approx(0.25)
+    done = guide(expected=Expected(0.2, 0.01))
+    assert done.sentence.startswith('41 s are enough; known to 0.20 deg')
+    assert done.progress == 1.0
+
+
+def test_first_of_all_the_person_has_to_move() -> None:
+    """No camera is spoken of before."""
+    still = guide(motion_m=0.25)
+    assert still.sentence.startswith('Walk through the room: moved 0.2 of 1.0 m')
+    assert still.progress == pytest.approx(0.25)
+
+
+def test_camera_that_saw_nobody_is_named_first() -> None:
+    """It may be unplugged; or nobody went there."""
+    unseen = ImageCoverage('cam3', np.zeros((9, 16), np.bool_), 0)
+    assert guide(images=(*guide().images, unseen)).advice == (
+        'cam3 has seen nobody yet: walk in front of it'
+    )
+
+
+def test_nothing_recorded_gives_no_advice_on_cameras() -> None:
+    """Waiting for data is another matter."""
+    empty = guide(seconds=0.0, motion_m=0.0, images=(), room=RoomCoverage(0.0, (0.0, 0.0)))
+    assert empty.advice == ''
+    assert empty.progress == 0.0
+    assert math.isnan(float(str(empty.figures()['expected_sigma_rotation_deg'])))
+
+
+def test_session_is_guided_from_the_first_step_to_a_calibration() -> None:
+    """Progress grows; after a run the sigma is told, and it is that of the run."""
+    recording = walk(7, seconds=16.0)
+    session = Session(rig_of(recording))
+    monitor = Monitor(session, max_age_s=300.0)
+    gates, told = AcceptConfig(), []
+    calibration = None
+    for now in play(recording, session):
+        monitor.look(turns=2)
+        told.append(monitor.guidance(gates, 1.0))
+        if calibration is None and now > 8.0:
+            snapshot = session.snapshot()
+            calibration = solve(snapshot)
+            monitor.conclude(appraise(snapshot, calibration), is_accepted=True, is_automatic=True)
+    assert calibration is not None
+    assert told[0].progress < told[10].progress < told[-1].progress == 1.0
+    assert not told[10].expected.is_known
+    found = told[-1].expected
+    assert found.sigma_deg < 1.2 * calibration.worst_sigma[0]
+    assert monitor.watch.complaint() == ''
+    assert set(monitor.watch.states()) == {'cam0', 'cam1', 'cam2', 'cam3'}
+    session.reset()
+    monitor.clear()
+    assert monitor.guidance(gates, 1.0).seconds == 0.0
