@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from rpgd_ros.core import Calibration, CalibrationError, Reason
 from rpgd_ros.core.candidates import assemble
 from rpgd_ros.messages import CAMERA_INFO, POINT_CLOUD2, encode_point_cloud2
 from rpgd_ros.session import MOCAP, Session, Snapshot, solve
+from rpgd_ros.session.snapshot_file import read_snapshot, write_snapshot
 from rpgd_ros.simulation import SimulatedRecording, build_scene, preset, simulate
 from rpgd_ros.simulation.export import messages_of, rig_of
 
@@ -172,3 +174,43 @@ def test_candidates_of_messages_are_those_of_the_arrays() -> None:
         rows = np.searchsorted(right.stamp_ns, found.stamp_ns)
         off = np.abs(found.uv - right.uv[rows])
         assert float(np.nanquantile(off, 0.99)) < 1e-3
+
+
+@pytest.mark.parametrize('subjects', [1, 2])
+def test_what_was_picked_is_a_recording_by_itself(subjects: int, tmp_path: Path) -> None:
+    """Nobody else is in it; written and read back, its solve gives the same bits."""
+    recording = film(subjects)
+    snapshot = collected(recording, sent_of(recording), 64).snapshot()
+    picked = snapshot.pick()
+    assert picked is not None
+    alone = snapshot.alone()
+    assert not alone.is_crowd
+    for one, other in zip(alone.observations.views, picked.observations.views, strict=True):
+        assert one.uv.tobytes() == other.uv.tobytes()
+        assert one.x_mocap.tobytes() == other.x_mocap.tobytes()
+        np.testing.assert_array_equal(one.stamp_ns, other.stamp_ns)
+    write_snapshot(tmp_path / 'data.npz', snapshot)
+    again = solve(read_snapshot(tmp_path / 'data.npz'))
+    found = solve(snapshot)
+    assert again.world_T_mocap.matrix.tobytes() == found.world_T_mocap.matrix.tobytes()
+
+
+def test_snapshot_without_the_subject_is_refused_once() -> None:
+    """What failed is not tried again, and may still be looked at."""
+    recording = film()
+    sent = [m for m in sent_of(recording) if m[0] == MOCAP]
+    camera = recording.cameras[0]
+    rng = np.random.default_rng(0)
+    stamps = recording.streams[0].stamp_ns
+    for stamp_ns in stamps.tolist():
+        uv = np.full((2, 17, 2), np.nan)
+        uv[:, 5:8] = rng.uniform(0, 900, (2, 3, 2))
+        sent.append((camera.name, encode_point_cloud2(stamp_ns, 'c', uv), stamp_ns))
+    snapshot = collected(recording, sent, 64).snapshot()
+    with pytest.raises(CalibrationError) as caught:
+        solve(snapshot)
+    assert caught.value.reason is Reason.TOO_FEW_INLIERS
+    with pytest.raises(CalibrationError) as again:
+        snapshot.pick()
+    assert again.value is caught.value
+    assert snapshot.observations.views[0].n_frames > 0

@@ -65,11 +65,12 @@ class BagRun:
         """The pairs, at the clock offsets that were found."""
         if self.snapshot is None:
             return None
+        alone = self.snapshot.alone()
         tracks = tuple(
             replace(track, time_offset_s=offset_s)
-            for track, offset_s in zip(self.snapshot.keypoints, self.offsets_s, strict=True)
+            for track, offset_s in zip(alone.keypoints, self.offsets_s, strict=True)
         )
-        return replace(self.snapshot, keypoints=tracks).observations
+        return replace(alone, keypoints=tracks).observations
 
     @property
     def offsets_s(self) -> tuple[float, ...]:

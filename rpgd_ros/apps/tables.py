@@ -57,6 +57,10 @@ def print_calibration(
             (f'{camera} is late', f'{1000 * offset_s:.1f} +- {1000 * sigma_s:.1f} ms')
             for camera, (offset_s, sigma_s) in calibration.time_offset_s.items()
         ),
+        *(
+            (f'{camera} shows it', f'shown in {100 * shown.share:.0f} % of {shown.frames} frames')
+            for camera, shown in calibration.shown.items()
+        ),
     ):
         table.add_row(name, value)
     console.print(table)

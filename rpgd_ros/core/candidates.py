@@ -154,7 +154,7 @@ def taken(view: CrowdView, picks: IntArray) -> View:
 
 def assemble(crowd: Crowd, chosen: Sequence[IntArray]) -> Observations:
     """Put the recordings of the skeletons one after the other."""
-    shifts = _shifts(crowd)
+    shifts = shifts_ns(crowd)
     views = []
     for view, picks in zip(crowd.views, chosen, strict=True):
         one = taken(view, picks)
@@ -173,7 +173,7 @@ def assemble(crowd: Crowd, chosen: Sequence[IntArray]) -> Observations:
     return Observations(tuple(views), track, crowd.joint_names)
 
 
-def _shifts(crowd: Crowd) -> IntArray:
+def shifts_ns(crowd: Crowd) -> IntArray:
     """(S,) nanoseconds by which the recording of each skeleton is moved."""
     n_skeletons = crowd.views[0].x_mocap.shape[1] if crowd.views else 1
     stamps = [v.stamp_ns for v in crowd.views if v.stamp_ns is not None and v.n_frames]

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rpgd_ros.core.candidates import Crowd, CrowdView
+from rpgd_ros.core.candidates import Crowd, CrowdView, shifts_ns
+from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.core.observations import MocapTrack
+from rpgd_ros.core.observations import NS_PER_S, MocapTrack
+from rpgd_ros.core.persons import Picked
 from rpgd_ros.pairing import Persons, Samples, SyncConfig, follow, pair
 
 
@@ -64,3 +66,60 @@ def _view(
     rows = np.flatnonzero(has_skeleton)
     scores = None if persons.confidence is None else persons.confidence[rows]
     return CrowdView(stamp_ns[rows], x[rows], persons.values[rows], scores)
+
+
+def single_out(
+    detections: Sequence[tuple[Persons, float]], crowd: Crowd, picked: Picked
+) -> list[Samples]:
+    """Return what was picked, as sent: a recording of one person per camera.
+
+    Args:
+        detections: As for `make_crowd`, in any columns.
+        crowd: What was made of them.
+        picked: What was picked of that.
+
+    """
+    shifts = shifts_ns(crowd)
+    singled = []
+    cameras = zip(detections, crowd.views, picked.chosen, strict=True)
+    for (persons, late_s), view, chosen in cameras:
+        skeleton, frame = np.nonzero(chosen.T >= 0)
+        stamps = np.empty(0, np.int64) if view.stamp_ns is None else view.stamp_ns
+        row = np.searchsorted(persons.stamp_ns, stamps + round(late_s * NS_PER_S))[frame]
+        person = chosen[frame, skeleton]
+        scores = None if persons.confidence is None else persons.confidence[row, person]
+        stamp_ns = persons.stamp_ns[row] + shifts[skeleton]
+        singled.append(Samples(stamp_ns, persons.values[row, person], scores))
+    return singled
+
+
+def in_turn(crowd: Crowd) -> Samples:
+    """Return the skeletons of all persons with MoCap, one person after the other."""
+    parts = list(zip(crowd.tracks, shifts_ns(crowd), strict=True))
+    if len(parts) == 1:
+        return Samples(crowd.tracks[0].stamp_ns, crowd.tracks[0].x_mocap, None)
+    return Samples(
+        np.concatenate([track.stamp_ns + shift for track, shift in parts]),
+        np.concatenate([track.x_mocap for track, _ in parts]),
+        None,
+    )
+
+
+def stage_check(
+    stage: str,
+    progress: Callable[[str, float], None] | None,
+    should_stop: Callable[[], bool] | None,
+) -> Callable[[float], None]:
+    """Return what a stage calls with its fraction done."""
+    furthest = 0.0
+
+    def tick(fraction: float) -> None:
+        nonlocal furthest
+        furthest = max(furthest, fraction)
+        if progress is not None:
+            progress(stage, furthest)
+        if should_stop is not None and should_stop():
+            msg = f'cancelled during {stage}'
+            raise CalibrationError(Reason.CANCELLED, msg)
+
+    return tick

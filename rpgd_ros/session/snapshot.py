@@ -11,6 +11,7 @@ import numpy as np
 
 from rpgd_ros.core import CameraPose, Picked, calibrate, calibrate_cameras, pick_persons
 from rpgd_ros.core.camera import Camera
+from rpgd_ros.core.candidates import Crowd
 from rpgd_ros.core.config import CalibrationConfig
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
@@ -18,7 +19,7 @@ from rpgd_ros.core.observations import MocapTrack, Observations
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.rig_types import KeypointUnits
 from rpgd_ros.pairing import PairCounts, Persons, Samples, SyncConfig, pair
-from rpgd_ros.session.crowd import alone, make_crowd, tracks_of
+from rpgd_ros.session.crowd import alone, in_turn, make_crowd, single_out, stage_check, tracks_of
 
 # Pixels of an image are counted in hundreds: a median below 2 can only be shares of its size.
 LARGEST_NORMALISED = 2.0
@@ -95,19 +96,58 @@ class Snapshot:
         """
         if not self.is_crowd:
             return None
-        known: dict[str, Picked] = self.__dict__.setdefault('_known', {})
-        if 'picked' not in known:
-            crowd = make_crowd(
-                tracks_of(self.skeletons, self.persons),
-                [
-                    (persons_in_columns(k, len(self.joint_names), c.size), k.time_offset_s)
-                    for c, k in zip(self.cameras, self.keypoints, strict=True)
-                ],
-                sync=self.sync,
-                joint_names=self.joint_names,
-            )
-            known['picked'] = pick_persons(self.cameras, crowd, config=self.config, check=check)
-        return known['picked']
+        known: dict[str, Picked | CalibrationError] = self.__dict__.setdefault('_known', {})
+        before = known.get('picked')
+        if before is None or _is_cancelled(before):
+            try:
+                known['picked'] = pick_persons(
+                    self.cameras, self._crowd, config=self.config, check=check
+                )
+            except CalibrationError as error:
+                known['picked'] = error
+        picked = known['picked']
+        if isinstance(picked, CalibrationError):
+            raise picked
+        return picked
+
+    def alone(self) -> Snapshot:
+        """Return the snapshot with nobody but the persons with MoCap, one after the other.
+
+        Where they cannot be found, the first person of each message is left.
+        """
+        if not self.is_crowd:
+            return self
+        known: Snapshot | None = self.__dict__.get('_alone')
+        if known is not None:
+            return known
+        plain = tuple(replace(k, persons=None) for k in self.keypoints)
+        was_cancelled = _is_cancelled(self.__dict__.get('_known', {}).get('picked'))
+        try:
+            picked = None if was_cancelled else self.pick()
+        except CalibrationError:
+            picked = None
+        if picked is None:
+            return replace(self, keypoints=plain, persons=None)
+        sent = [(k.persons or alone(k.samples), k.time_offset_s) for k in self.keypoints]
+        singled = single_out(sent, self._crowd, picked)
+        plain = tuple(replace(k, samples=s) for k, s in zip(plain, singled, strict=True))
+        skeletons = in_turn(self._crowd)
+        known = self.__dict__['_alone'] = replace(
+            self, keypoints=plain, skeletons=skeletons, persons=None
+        )
+        return known
+
+    @cached_property
+    def _crowd(self) -> Crowd:
+        return make_crowd(
+            tracks_of(self.skeletons, self.persons),
+            [
+                (persons_in_columns(k, len(self.joint_names), c.size), k.time_offset_s)
+                for c, k in zip(self.cameras, self.keypoints, strict=True)
+            ],
+            sync=self.sync,
+            joint_names=self.joint_names,
+        )
 
     def placed(self, poses: Mapping[str, CameraPose]) -> tuple[Camera, ...]:
         """Return the cameras with the poses that a solve found; a camera may still have none."""
@@ -120,21 +160,23 @@ class Snapshot:
 
     def settled(self, poses: Mapping[str, CameraPose]) -> Snapshot:
         """Return the snapshot with the poses that a solve found, less cameras without any."""
-        pairs = zip(self.placed(poses), self.keypoints, strict=True)
+        pairs = zip(self.placed(poses), self.alone().keypoints, strict=True)
         kept = [(c, k) for c, k in pairs if c.name not in self.turns or c.name in poses]
         return replace(
-            self, cameras=tuple(c for c, _ in kept), keypoints=tuple(k for _, k in kept), turns={}
+            self.alone(),
+            cameras=tuple(c for c, _ in kept),
+            keypoints=tuple(k for _, k in kept),
+            turns={},
         )
 
     @cached_property
     def observations(self) -> Observations:
         """The pairs, one view per camera, stamped on the MoCap's clock; made when first asked.
 
-        Of several persons those that belong together, see `pick`.
+        Of several persons those that belong together, see `alone`.
         """
-        picked = self.pick()
-        if picked is not None:
-            return picked.observations
+        if self.is_crowd:
+            return self.alone().observations
         views = tuple(
             pair(
                 self.skeletons,
@@ -192,6 +234,10 @@ def _is_normalised(track: KeypointTrack) -> bool:
     return bool(there.size) and float(np.median(there)) < LARGEST_NORMALISED
 
 
+def _is_cancelled(outcome: object) -> bool:
+    return isinstance(outcome, CalibrationError) and outcome.reason is Reason.CANCELLED
+
+
 def solve(
     snapshot: Snapshot,
     *,
@@ -214,8 +260,8 @@ def solve(
         CalibrationError: The data do not give a pose that anybody should use.
 
     """
-    picked = snapshot.pick(_check('persons', progress, should_stop))
-    calibration = _calibrated(snapshot, progress, should_stop)
+    picked = snapshot.pick(stage_check('persons', progress, should_stop))
+    calibration = _calibrated(snapshot.alone(), progress, should_stop)
     known_s = {
         camera.name: track.time_offset_s
         for camera, track in zip(snapshot.cameras, snapshot.keypoints, strict=True)
@@ -232,26 +278,6 @@ def solve(
         names = ', '.join(snapshot.left_out)
         warnings = (*warnings, f'left out, because no CameraInfo arrived: {names}')
     return replace(calibration, time_offset_s=offsets, warnings=warnings)
-
-
-def _check(
-    stage: str,
-    progress: Callable[[str, float], None] | None,
-    should_stop: Callable[[], bool] | None,
-) -> Callable[[float], None]:
-    """Return what a stage calls with its fraction done."""
-    furthest = 0.0
-
-    def tick(fraction: float) -> None:
-        nonlocal furthest
-        furthest = max(furthest, fraction)
-        if progress is not None:
-            progress(stage, furthest)
-        if should_stop is not None and should_stop():
-            msg = f'cancelled during {stage}'
-            raise CalibrationError(Reason.CANCELLED, msg)
-
-    return tick
 
 
 def _calibrated(

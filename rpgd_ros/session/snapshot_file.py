@@ -36,6 +36,7 @@ def write_snapshot(path: Path | str, snapshot: Snapshot) -> None:
         InputError: NOT_WRITABLE. An old file is untouched.
 
     """
+    snapshot = snapshot.alone()  # of several persons, those that the solve used
     arrays: dict[str, NDArray[Any]] = _samples('skeletons', snapshot.skeletons)
     for v, (camera, track) in enumerate(zip(snapshot.cameras, snapshot.keypoints, strict=True)):
         pose, turn = camera.camera_T_world, snapshot.turns.get(camera.name)
