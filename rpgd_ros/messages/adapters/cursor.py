@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from rpgd_ros.messages.cdr import (
 from rpgd_ros.messages.layout import Drop, DropError
 
 LONGEST_NAME: Final = MAX_FRAME_ID
+Place = tuple[float, float, float]
 
 
 class Cursor(CdrReader):
@@ -32,6 +34,19 @@ class Cursor(CdrReader):
 
         """
         self._take(size, count)
+
+    def doubles(self, count: int) -> tuple[float, ...]:
+        """Read a few float64; for many, `numbers` is faster."""
+        return struct.unpack_from(f'{self.order.mark}{count}d', *self._take(8, count))
+
+    def pose(self) -> tuple[Place, bool]:
+        """Read a geometry_msgs/Pose: the place, and whether the body was not seen.
+
+        No rotation has a quaternion of zeros: Vicon's drivers send it of occluded segments, and
+        with an offset configured in the driver the place is not zero then.
+        """
+        x, y, z, *quat_xyzw = self.doubles(7)
+        return (x, y, z), not any(quat_xyzw)
 
     def i32(self) -> int:
         """Read one int32."""

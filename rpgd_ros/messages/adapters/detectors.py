@@ -41,7 +41,7 @@ def read_marker_array(cursor: Cursor, asked: Asked) -> People:
         number = cursor.i32()
         cursor.skip(4, 1)  # type
         action = cursor.i32()
-        xyz = cursor.numbers(7)[:3]
+        xyz = cursor.doubles(7)[:3]
         _skip_rest_of_marker(cursor)
         if action != MARKER_ADDED:
             continue
@@ -164,7 +164,7 @@ def _keypoints(cursor: Cursor, asked: Asked) -> Person | None:
     values, confidence = asked.empty(), np.full(asked.n_joints, np.nan)
     for _ in range(n_keypoints):
         j = cursor.i32() - 1
-        u, v, score = cursor.numbers(3)
+        u, v, score = cursor.doubles(3)
         if not 0 <= j < asked.n_joints:
             raise DropError(Drop.WRONG_JOINTS)
         values[j] = u, v

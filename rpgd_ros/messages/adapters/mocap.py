@@ -5,10 +5,7 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-
-from rpgd_ros.core.geometry import Array
-from rpgd_ros.messages.adapters.cursor import Cursor
+from rpgd_ros.messages.adapters.cursor import Cursor, Place
 from rpgd_ros.messages.adapters.people import Asked, Named, People
 
 # Least bytes of an element, which the count of a sequence is checked against.
@@ -33,10 +30,12 @@ def read_markers(cursor: Cursor, asked: Asked) -> People:
     return People(stamp_ns, frame_id, (joints.person(),))
 
 
-def _marker(cursor: Cursor) -> tuple[str, Array]:
+def _marker(cursor: Cursor) -> tuple[str, Place]:
     cursor.skip(1, 1)  # id_type
     index = cursor.i32()
-    return cursor.name() or str(index), cursor.numbers(3)
+    name = cursor.name() or str(index)
+    x, y, z = cursor.doubles(3)
+    return name, (x, y, z)
 
 
 def read_rigid_bodies(cursor: Cursor, asked: Asked) -> People:
@@ -53,7 +52,7 @@ def read_rigid_bodies(cursor: Cursor, asked: Asked) -> People:
         name = cursor.name()
         if not cursor.skip_repeated(blocks):
             _skip_markers(cursor, blocks)
-        joints.put(name, *_pose(cursor))
+        joints.put(name, *cursor.pose())
     cursor.end()
     return People(stamp_ns, frame_id, (joints.person(),))
 
@@ -79,7 +78,7 @@ def read_named_poses(cursor: Cursor, asked: Asked) -> People:
     stamp_ns, frame_id = cursor.header()
     joints = Named(asked)
     for _ in range(cursor.count(_NAMED_POSE)):
-        joints.put(cursor.name(), *_pose(cursor))
+        joints.put(cursor.name(), *cursor.pose())
     cursor.end()
     return People(stamp_ns, frame_id, (joints.person(),))
 
@@ -95,17 +94,7 @@ def read_link_states(cursor: Cursor, asked: Asked) -> People:
     for _ in range(cursor.count(_LINK_STATE)):
         own_stamp_ns, name = cursor.header()
         stamp_ns = stamp_ns or own_stamp_ns
-        joints.put(name, *_pose(cursor))
+        joints.put(name, *cursor.pose())
         cursor.skip(8, 12)  # twist, accel
     cursor.end()
     return People(stamp_ns, frame_id, (joints.person(),))
-
-
-def _pose(cursor: Cursor) -> tuple[Array, bool]:
-    """Read a geometry_msgs/Pose: the position, and whether the body was not seen.
-
-    No rotation has a quaternion of zeros: Vicon's drivers send it of occluded segments, and with
-    an offset configured in the driver the position is not zero then.
-    """
-    numbers = cursor.numbers(7)
-    return numbers[:3], not np.any(numbers[3:])

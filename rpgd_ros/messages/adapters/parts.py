@@ -92,16 +92,11 @@ def _read(msgtype: str, payload: bytes) -> list[_Part]:
 
 
 def _read_pose(cursor: Cursor) -> _Part:
-    """Read a geometry_msgs/PoseStamped.
-
-    A quaternion of zeros, which no rotation has, is how Vicon's drivers say that a segment is
-    occluded; where the driver adds an offset, the position is not zero then.
-    """
+    """Read a geometry_msgs/PoseStamped."""
     stamp_ns, frame_id = cursor.header()
-    numbers = cursor.numbers(7)
+    place, is_missing = cursor.pose()
     cursor.end()
-    seen = bool(np.any(numbers[3:]))
-    return stamp_ns, '', frame_id, numbers[:3] if seen else np.full(3, np.nan)
+    return stamp_ns, '', frame_id, np.full(3, np.nan) if is_missing else np.array(place)
 
 
 def _read_links(payload: bytes) -> list[_Part]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Literal
 
 import numpy as np
 
 from rpgd_ros.core.geometry import Array
+from rpgd_ros.messages.adapters.cursor import Place
 from rpgd_ros.messages.layout import Drop, DropError
 
 
@@ -80,11 +82,11 @@ class Named:
     def __init__(self, asked: Asked) -> None:
         """Start without any."""
         self._asked = asked
-        self._values = asked.empty()
+        self._places: dict[int, Place] = {}
         self._n_found = 0
         self._n_named = 0
 
-    def put(self, name: str, xyz: Array, is_missing: bool = False) -> None:  # noqa: FBT001, FBT002
+    def put(self, name: str, place: Place, is_missing: bool = False) -> None:  # noqa: FBT001, FBT002
         """Take one joint; names that nobody asked for are left out.
 
         Raises:
@@ -96,14 +98,13 @@ class Named:
         if j is None:
             return
         self._n_found += 1
-        known = self._values[j]
-        if is_missing or not _is_place(xyz):
-            # Zeros stay what they are where nothing better comes: the caller judges them.
-            if not is_missing and not _is_place(known):
-                self._values[j] = xyz
-        elif not _is_place(known):
-            self._values[j] = xyz
-        elif not np.array_equal(known, xyz):
+        if is_missing:
+            return
+        known = self._places.get(j)
+        # Zeros stay what they are where nothing better comes: the caller judges them.
+        if known is None or not _is_place(known):
+            self._places[j] = place
+        elif _is_place(place) and known != place:
             raise DropError(Drop.SEVERAL_PERSONS)
 
     def person(self) -> Person:
@@ -115,8 +116,11 @@ class Named:
         """
         if not self._n_found:
             raise DropError(Drop.WRONG_JOINTS if self._n_named else Drop.NOBODY)
-        return Person(self._values)
+        values = self._asked.empty()
+        for j, place in self._places.items():
+            values[j] = place
+        return Person(values)
 
 
-def _is_place(xyz: Array) -> bool:
-    return bool(np.isfinite(xyz).all() and xyz.any())
+def _is_place(place: Place) -> bool:
+    return any(place) and all(map(isfinite, place))
