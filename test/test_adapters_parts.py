@@ -128,6 +128,21 @@ def test_skeletons_are_a_function_of_the_set_of_messages(random: Any) -> None:
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize('late', [0, 3, 40])
+def test_looking_in_between_changes_nothing(late: int) -> None:
+    """What was put together before stays, unless a message comes for it after all."""
+    messages = walk(800)  # 4 s
+    held = messages[100 : 100 + late]
+    messages = messages[:100] + messages[100 + late :] + held
+    watched = Session(rig(SEGMENTS))
+    for i, (stream, payload) in enumerate(messages):
+        watched.add(stream, POSE_STAMPED, [payload], [1])
+        if i % 37 == 0:
+            skeletons(watched)
+    for a, b in zip(skeletons(watched), skeletons(fed(messages)), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 def test_a_lost_message_is_one_missing_joint() -> None:
     """Best-effort publishers lose some; the skeletons after it stay whole."""
     messages = walk()

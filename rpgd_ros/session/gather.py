@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from rpgd_ros.core.geometry import Array, IntArray
+from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.messages.adapters.parts import POSITION_VALUES, PartBatch
 from rpgd_ros.pairing import BufferConfig, JointStream, Samples
 
@@ -22,6 +23,9 @@ from rpgd_ros.pairing import BufferConfig, JointStream, Samples
 # its own now(), tens of microseconds after the one before; between two frames of a 200 Hz system
 # there are milliseconds. A walking body moves 1.5 mm in this time.
 GAP_NS: Final = 1_000_000
+# Instants older than this against the newest are put together once, unless a message comes later
+# still: of a full buffer of 20 segments, gathering everything takes a tenth of a second.
+SETTLED_NS: Final = NS_PER_S
 MAX_PARTS: Final = 512  # joints, and the frames between them and the root
 
 
@@ -84,7 +88,8 @@ class GatheredStream:
         self._parts: dict[str, JointStream] = {}
         self._parents: dict[str, str] = {}
         self._wanted = set(names)
-        self._gathered: Samples | None = None
+        self._gathered: Samples | None
+        self._forget()
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -107,37 +112,41 @@ class GatheredStream:
         went_back = False
         self._gathered = None
         for name, rows in self._chosen(batch).items():
+            stamp_ns = batch.stamp_ns[rows]
+            if ((stamp_ns > 0) & (stamp_ns < self._since_ns)).any():
+                self._forget()
             part = self._parts.get(name)
             if part is None:
                 n_values = batch.values.shape[1]
                 part = self._parts[name] = JointStream(
                     *self._buffer, n_joints=1, n_values=n_values
                 )
-            if part.add(batch.stamp_ns[rows], batch.values[rows][:, None], None):
+            if part.add(stamp_ns, batch.values[rows][:, None], None):
                 went_back = True
                 for other in self._parts.values():
                     if other is not part:
                         other.start_epoch()
+                self._forget()
         return went_back
 
     def start_epoch(self) -> None:
         """Drop the past, because another stream jumped back."""
         for part in self._parts.values():
             part.start_epoch()
-        self._gathered = None
+        self._forget()
 
     def clear(self) -> None:
         """Forget all messages and the time; the counts stay."""
         for part in self._parts.values():
             part.clear()
-        self._gathered = None
+        self._forget()
 
     def resize(self, max_frames: int, max_age_s: float) -> None:
         """Change the bounds."""
         self._buffer = max_frames, max_age_s
         for part in self._parts.values():
             part.resize(max_frames, max_age_s)
-        self._gathered = None
+        self._forget()
 
     def stamps(self) -> IntArray:
         """Return the (F,) stamps, strictly increasing."""
@@ -179,9 +188,15 @@ class GatheredStream:
             parent = links.get(parent, self.root)
         return True
 
+    def _forget(self) -> None:
+        """Put everything together anew when next asked."""
+        self._gathered = None
+        self._settled = Samples(np.empty(0, np.int64), np.empty((0, len(self._names), 3)), None)
+        self._since_ns = 0  # instants before it are settled
+
     def _gather(self) -> Samples:
         names = sorted(self._parts)
-        tracks = [self._parts[name].arrays() for name in names]
+        tracks = [_since(self._parts[name].arrays(), self._since_ns) for name in names]
         stamp_ns, rows = gather([track.stamp_ns for track in tracks])
         columns = {name: i for i, name in enumerate(names)}
         values = np.full((len(stamp_ns), len(self._names), 3), np.nan)
@@ -190,7 +205,32 @@ class GatheredStream:
             if place is not None:
                 values[:, j] = place
         there = np.isfinite(values).all(-1).any(-1)
-        return Samples(stamp_ns[there], values[there], None)
+        found = Samples(
+            np.concatenate([self._settled.stamp_ns, stamp_ns[there]]),
+            np.concatenate([self._settled.values, values[there]]),
+            None,
+        )
+        found = self._within_bounds(found)
+        self._settle(found, tracks)
+        return found
+
+    def _within_bounds(self, found: Samples) -> Samples:
+        """Let go of what is too old, as the stores of the parts do."""
+        max_frames, max_age_s = self._buffer
+        newest_ns = found.stamp_ns[-1] if len(found.stamp_ns) else 0
+        first = np.searchsorted(found.stamp_ns, newest_ns - round(max_age_s * NS_PER_S))
+        first = max(int(first), len(found.stamp_ns) - max_frames)
+        return Samples(found.stamp_ns[first:], found.values[first:], None)
+
+    def _settle(self, found: Samples, tracks: Sequence[Samples]) -> None:
+        """Keep the instants before a gap that lies some time back."""
+        stamps = np.sort(np.concatenate([np.empty(0, np.int64), *(t.stamp_ns for t in tracks)]))
+        after_gap = stamps[1:][np.diff(stamps) > GAP_NS]
+        old = after_gap[after_gap < (stamps[-1] if len(stamps) else 0) - SETTLED_NS]
+        if len(old):
+            self._since_ns = int(old[-1])
+            n = int(np.searchsorted(found.stamp_ns, self._since_ns))
+            self._settled = Samples(found.stamp_ns[:n], found.values[:n], None)
 
     def _place(
         self, name: str, columns: Mapping[str, int], tracks: Sequence[Samples], rows: IntArray
@@ -215,3 +255,9 @@ def _rows(track: Samples, rows: IntArray) -> Array:
     """Return rows of a track of one part, NaN where a row is -1."""
     padded = np.concatenate([track.values[:, 0], np.full((1, track.values.shape[2]), np.nan)])
     return padded[rows]
+
+
+def _since(track: Samples, since_ns: int) -> Samples:
+    """Return the end of a track."""
+    first = int(np.searchsorted(track.stamp_ns, since_ns))
+    return Samples(track.stamp_ns[first:], track.values[first:], None)
