@@ -24,6 +24,9 @@ from rpgd_ros.messages import (
     decode_parts,
 )
 
+# Not even a warning of numpy, at whatever number.
+pytestmark = pytest.mark.filterwarnings('error')
+
 NAMES = {'3': (1.0, 2.0, 3.0), 'b.c': (4.0, 5.0, 6.0)}
 POSES: dict[str, Any] = {name: (xyz, NO_TURN) for name, xyz in NAMES.items()}
 MARKERS = [drivers.marker(name, xyz, index=9) for name, xyz in NAMES.items()]
@@ -106,6 +109,32 @@ def test_changed_bytes_never_raise(msgtype: str, edits: list[tuple[int, int]]) -
     for place, value in edits:
         payload[place % len(payload)] = value
     attempt(msgtype, bytes(payload))
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    msgtype=st.sampled_from(sorted(GOOD)),
+    edits=st.lists(
+        st.tuples(
+            st.integers(0, 10**6),
+            st.sampled_from([0, 1, 2, 17, 18, 2**31, 2**32 - 1]),
+            st.integers(-8, 8),
+        ),
+        min_size=1,
+        max_size=4,
+    ),
+)
+def test_changed_counts_and_moved_bytes_never_raise(
+    msgtype: str, edits: list[tuple[int, int, int]]
+) -> None:
+    """A word is replaced, and what follows moves by some bytes."""
+    payload = GOOD[msgtype]
+    for place, word, shift in edits:
+        at = place % len(payload) // 4 * 4
+        tail = payload[at + 4 :]
+        tail = bytes(shift) + tail if shift > 0 else tail[-shift:]
+        payload = payload[:at] + word.to_bytes(4, 'little') + tail
+    attempt(msgtype, payload)
 
 
 @pytest.mark.parametrize('msgtype', sorted(GOOD))
