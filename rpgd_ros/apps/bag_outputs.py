@@ -1,44 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `calibrate_bag` writes beside the terminal: result, report, labels, JSON."""
+"""What `calibrate_bag` writes, one function per option."""
 
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Any, NamedTuple
+from typing import Final
 
-import yaml
 from rich.console import Console
 
+from rpgd_ros.apps.bag_annotate import annotate
+from rpgd_ros.apps.bag_job import Job, Written, make_folder
+from rpgd_ros.apps.bag_overlay import write_overlay
 from rpgd_ros.apps.bag_run import BagRun, tell
 from rpgd_ros.apps.progress import one_bar
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.datasets.labels import write_labels
 from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.io.camera_files import toml_text
-from rpgd_ros.io.result_file import result_text, write_result
+from rpgd_ros.io.result_file import write_result
 from rpgd_ros.io.rig import with_poses, write_rig
-from rpgd_ros.report import Case, Step, check_libraries, settle, write_report
+from rpgd_ros.report import (
+    Case,
+    Photo,
+    Step,
+    check_libraries,
+    choose_instants,
+    settle,
+    write_report,
+)
 
-JSON_SCHEMA = 1
 RIG_SUFFIXES = ('.yaml', '.yml', '.toml')
-
-
-class Written(NamedTuple):
-    """A file that a run left.
-
-    Attributes:
-        what: Key of the option that asked for it.
-        path: Where.
-
-    """
-
-    what: str
-    path: Path
 
 
 def check_outputs(arguments: argparse.Namespace) -> None:
@@ -48,13 +43,16 @@ def check_outputs(arguments: argparse.Namespace) -> None:
         InputError: NOT_WRITABLE, or a library is missing.
 
     """
-    paths = (arguments.output, arguments.report, arguments.export, arguments.write_rig)
+    paths = tuple(getattr(arguments, name) for name in OUTPUTS)
     for path in filter(None, paths):
         if not path.absolute().parent.is_dir():
             msg = f'{path.parent} is no folder: create it first'
             raise InputError(Reason.NOT_WRITABLE, msg)
     if arguments.write_rig and arguments.write_rig.suffix not in RIG_SUFFIXES:
         msg = f'{arguments.write_rig}: need a name that ends in {", ".join(RIG_SUFFIXES)}'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+    if arguments.annotated and arguments.annotated.exists():
+        msg = f'{arguments.annotated} exists already: remove it, or choose another place'
         raise InputError(Reason.NOT_WRITABLE, msg)
     if arguments.report:
         check_libraries()
@@ -69,28 +67,31 @@ def write_outputs(
         InputError: NOT_WRITABLE.
 
     """
-    written = []
+    written: list[Written] = []
+    wanted = [name for name in OUTPUTS if getattr(arguments, name) is not None]
+    if not wanted:
+        return written
     with one_bar(err, stop) as progress:
-        for what, write in _writers(run, arguments):
-            path: Path | None = getattr(arguments, what)
-            if path is not None:
-                write(run, path, progress)
-                written.append(Written(what, path))
+        job = Job(run, arguments.images, progress, lambda said: tell(err, f'warning: {said}'))
+        for name in wanted:
+            if _is_due(name, run):
+                path: Path = getattr(arguments, name)
+                OUTPUTS[name](job, path)
+                written.append(Written(name, path))
     return written
 
 
-Writer = Callable[[BagRun, Path, Callable[[str, float], None]], None]
+def _is_due(name: str, run: BagRun) -> bool:
+    """Whether a run has what an output is made of; a report has something to say of every run."""
+    if name == 'report':
+        return True
+    if name == 'overlay':
+        return run.calibration is not None
+    return run.refusal is None
 
 
-def _writers(run: BagRun, _arguments: argparse.Namespace) -> Iterator[tuple[str, Writer]]:
-    if run.refusal is None:
-        yield 'output', _result
-        yield 'write_rig', _rig
-        yield 'export', _labels
-    yield 'report', _report
-
-
-def _result(run: BagRun, path: Path, _progress: Callable[[str, float], None]) -> None:
+def _result(job: Job, path: Path) -> None:
+    run = job.run
     if run.calibration is not None:
         world_frame, mocap_frame = run.frames
         write_result(
@@ -103,7 +104,8 @@ def _result(run: BagRun, path: Path, _progress: Callable[[str, float], None]) ->
         )
 
 
-def _rig(run: BagRun, path: Path, _progress: Callable[[str, float], None]) -> None:
+def _rig(job: Job, path: Path) -> None:
+    run = job.run
     if run.calibration is None or run.snapshot is None:
         return
     if path.suffix == '.toml':
@@ -120,25 +122,49 @@ def _rig(run: BagRun, path: Path, _progress: Callable[[str, float], None]) -> No
     write_rig(path, with_poses(run.rig, poses))
 
 
-def _labels(run: BagRun, path: Path, progress: Callable[[str, float], None]) -> None:
+def _labels(job: Job, path: Path) -> None:
+    run = job.run
     if run.snapshot is None or run.calibration is None or run.observations is None:
         return
-    progress('labels', 0.0)
-    try:
-        path.mkdir(exist_ok=True)
-    except OSError as error:
-        msg = f'{path} cannot be made: {error.strerror or error}'
-        raise InputError(Reason.NOT_WRITABLE, msg) from error
+    job.progress('labels', 0.0)
+    make_folder(path)
     name = run.bag.absolute().stem
     write_labels(path, name, run.snapshot.cameras, run.observations, run.calibration)
 
 
-def _report(run: BagRun, path: Path, progress: Callable[[str, float], None]) -> None:
-    write_report(path, case_of(run, progress))
+def _annotated(job: Job, path: Path) -> None:
+    for said in annotate(job.run, path, job.progress):
+        job.warn(said)
+
+
+def _report(job: Job, path: Path) -> None:
+    case = case_of(job.run, job.progress)
+    pictured = {camera.name: job.images.rows(v) for v, camera in enumerate(case.cameras)}
+    if any(pictured.values()):
+        rows = choose_instants(case, pictured)
+        wanted = {v: rows.get(camera.name, ()) for v, camera in enumerate(case.cameras)}
+        photos: dict[str, tuple[Photo, ...]] = {}
+        for found in job.images.instants(wanted, tell=job.warn, progress=job.progress):
+            if found.image is not None:
+                name = case.cameras[found.camera].name
+                photos[name] = (*photos.get(name, ()), Photo(found.row, found.image))
+        case = replace(case, photos=photos)
+    write_report(path, case)
+
+
+# What is written for each option, in this order.
+OUTPUTS: Final[dict[str, Callable[[Job, Path], None]]] = {
+    'output': _result,
+    'write_rig': _rig,
+    'export': _labels,
+    'annotated': _annotated,
+    'overlay': write_overlay,
+    'report': _report,
+}
 
 
 def case_of(run: BagRun, progress: Callable[[str, float], None]) -> Case:
-    """Return a run as what a report is about."""
+    """Return a run as what a report is about, without images."""
     world_frame, mocap_frame = run.frames
     cameras = run.snapshot.cameras if run.snapshot else ()
     steps: tuple[Step, ...] = ()
@@ -165,48 +191,3 @@ def tell_written(out: Console, written: list[Written]) -> None:
     """Say what was written."""
     for _, path in written:
         tell(out, f'written to {path}')
-
-
-def json_of(
-    status: str,
-    code: int,
-    *,
-    reason: str = '',
-    message: str = '',
-    run: BagRun | None = None,
-    written: list[Written] | None = None,
-) -> str:
-    """Return a run for programs; the keys are documented in docs/report.md.
-
-    Args:
-        status: accepted, partial, refused, bad_input.
-        code: Exit code.
-        reason: Code of the reason, '' where accepted.
-        message: What to tell a person.
-        run: What was found, as far as it went.
-        written: Files.
-
-    """
-    tree: dict[str, Any] = {
-        'schema': JSON_SCHEMA,
-        'status': status,
-        'exit_code': code,
-        'reason': reason or None,
-        'message': message or None,
-        'streams': [
-            {**s._asdict(), 'dropped': dict(s.dropped)} for s in (run.streams if run else ())
-        ],
-        'files': {what: str(path) for what, path in written or ()},
-        'result': None,
-    }
-    if run is not None and run.calibration is not None and run.refusal is None:
-        world_frame, mocap_frame = run.frames
-        text = result_text(
-            run.calibration,
-            world_frame=world_frame,
-            mocap_frame=mocap_frame,
-            stamp_ns=run.stamp_ns,
-            optical_frames=run.session.optical_frames(),
-        )
-        tree['result'] = yaml.safe_load(text)
-    return json.dumps(tree, indent=2, default=str)

@@ -11,13 +11,9 @@ from threading import Event
 
 from rich.console import Console
 
-from rpgd_ros.apps.bag_outputs import (
-    Written,
-    check_outputs,
-    json_of,
-    tell_written,
-    write_outputs,
-)
+from rpgd_ros.apps.bag_job import Written
+from rpgd_ros.apps.bag_json import json_of
+from rpgd_ros.apps.bag_outputs import check_outputs, tell_written, write_outputs
 from rpgd_ros.apps.bag_run import BagRun, chosen, read_bag, solve_bag
 from rpgd_ros.apps.progress import one_bar
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
@@ -99,6 +95,20 @@ def _parser() -> argparse.ArgumentParser:
         'cameras in the MoCap frame for aniposelib and Pose2Sim (.toml)'
     )
     add('--write-rig', type=Path, metavar='RIG.yaml|.toml', help=text)
+    text = (
+        'draw keypoints and reprojected skeleton over the images of the bag, or over empty '
+        'canvases: pictures into a folder, or a film of all cameras (.mp4, .avi, .mkv)'
+    )
+    add('--overlay', type=Path, metavar='DIR|FILE', help=text)
+    text = (
+        'copy the recording with transform, skeleton in the world and reprojections in it, for '
+        'Foxglove and RViz, of an accepted result'
+    )
+    add('--annotated', type=Path, metavar='OUT.mcap', help=text)
+    text = (
+        'image topic of a camera, where its name does not tell (default: found beside the others)'
+    )
+    add('--images', nargs='+', default=[], metavar='CAMERA=TOPIC', help=text)
     text = 'print the outcome as JSON, for programs; its keys stand in docs/report.md'
     add('--json', action='store_true', help=text)
     text = 'use these cameras of the rig only'

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from rpgd_ros.core.camera_pose import CameraPose, is_mocap_world
@@ -21,7 +22,12 @@ def print_streams(console: Console, streams: Sequence[StreamCount]) -> None:
         rest = ', '.join(f'{n} {reason}' for reason, n in stream.dropped.items())
         paired = '' if stream.paired is None else str(stream.paired)
         table.add_row(
-            stream.stream, stream.topic, str(stream.received), str(stream.kept), paired, rest
+            escape(stream.stream),
+            escape(stream.topic),
+            str(stream.received),
+            str(stream.kept),
+            paired,
+            rest,
         )
     console.print(table)
 
@@ -39,8 +45,9 @@ def print_calibration(
     sigma_deg, sigma_m = calibration.worst_sigma
     table = _table('', '')
     table.show_header = False
+    frames = f'{escape(world_frame)} <- {escape(mocap_frame)}'
     for name, value in (
-        ('transform', f'{world_frame} <- {mocap_frame}: x_world = R x_mocap + t'),
+        ('transform', f'{frames}: x_world = R x_mocap + t'),
         ('t (x y z)', f'{_numbers(pose.translation)} m'),
         ('q (x y z w)', _numbers(pose.quat_xyzw)),
         (
@@ -86,7 +93,7 @@ def _print_poses(console: Console, poses: Mapping[str, CameraPose]) -> None:
 
 def _camera_row(fit: GroupFit) -> tuple[str, ...]:
     return (
-        fit.name,
+        escape(fit.name),
         f'{100 * fit.inlier_ratio:.1f} %',
         str(fit.correspondences),
         f'{fit.mpjpe_px:.2f}',

@@ -11,9 +11,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Literal, Self
 
-from rosbags.interfaces import Connection
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rpgd_ros.core.errors import InputError, Reason
@@ -30,6 +38,11 @@ _MODES: Final = {
     'chunk': CompressionMode.STORAGE,
 }
 _FAILURES: Final = (OSError, sqlite3.Error)
+_EVER: Final = QosTime(9223372036, 854775807)
+LATCHED: Final = Qos(
+    QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, _EVER, _EVER,
+    QosLiveliness.AUTOMATIC, _EVER, avoid_ros_namespace_conventions=False,
+)  # fmt: skip
 
 
 class BagWriter:
@@ -79,14 +92,48 @@ class BagWriter:
 
         """
         try:
-            connection = self._connections.get(topic)
-            if connection is None:
-                connection = self._connections[topic] = self._writer.add_connection(
-                    topic, msgtype, typestore=_types()
-                )
+            connection = self._connections.get(topic) or self._connect(topic, msgtype, _types())
             self._writer.write(connection, int(receive_ns), payload)
         except _FAILURES as error:
             raise self._not_writable(error) from error
+
+    def declare(
+        self, topic: str, msgtype: str, definition: str = '', *, is_latched: bool = False
+    ) -> None:
+        """Announce a topic before its first message; once.
+
+        Args:
+            topic: Absolute name.
+            msgtype: Its type.
+            definition: Of the type, where it is none that `write` knows.
+            is_latched: Whether a player is to keep its last message for who comes late.
+
+        Raises:
+            InputError: BAD_BAG. The type is not known, and the definition does not tell it.
+
+        """
+        types = _types()
+        try:
+            if msgtype not in types.fielddefs and definition:
+                types = get_typestore(Stores.ROS2_JAZZY)
+                types.register({
+                    name: fields
+                    for name, fields in get_types_from_msg(definition, msgtype).items()
+                    if name not in types.fielddefs
+                })  # fmt: skip
+            self._connect(topic, msgtype, types, (LATCHED,) if is_latched else ())
+        except (KeyError, TypesysError) as error:
+            msg = f'topic {topic[:80]!r} has type {msgtype[:80]!r}, whose definition is not known'
+            raise InputError(Reason.BAD_BAG, msg) from error
+
+    def _connect(
+        self, topic: str, msgtype: str, types: Typestore, qos: tuple[Qos, ...] = ()
+    ) -> Connection:
+        connection = self._writer.add_connection(
+            topic, msgtype, typestore=types, offered_qos_profiles=qos
+        )
+        self._connections[topic] = connection
+        return connection
 
     def __enter__(self) -> Self:
         """Open the files, in a hidden folder beside the later place.

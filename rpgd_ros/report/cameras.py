@@ -135,7 +135,7 @@ def _residual_map(look: Look, key: str) -> Figure:
     ]  # fmt: skip
     text = (
         'Residuals over the image, from keypoint to reprojection: lines are '
-        f'{number(scale, 0)} times as long. Noise has no direction; a moved camera or a wrong '
+        f'{scale:.2g} times as long. Noise has no direction; a moved camera or a wrong '
         'lens gives a pattern.'
     )
     layout, ratio = over_image(look.camera.size, None), _ratio(look)

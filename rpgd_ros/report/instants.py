@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -12,8 +12,8 @@ import numpy as np
 
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.report.blocks import Figure, label, number, rounded
-from rpgd_ros.report.case import Photo
-from rpgd_ros.report.measure import Look, Measured
+from rpgd_ros.report.case import Case, Photo
+from rpgd_ros.report.measure import Look, Measured, measure
 from rpgd_ros.skeletons import edges
 
 PHOTO_WIDTH, PHOTO_QUALITY = 960, 70  # pixels, JPEG: about 60 kB of an image
@@ -33,22 +33,41 @@ def instants(
         photos: Its images, where there are any.
 
     """
-    rows = _chosen(look, photos)
+    rows = _chosen(look, [photo.frame for photo in photos])
     for row, what in zip(rows, ('A typical instant', 'The worst instant'), strict=False):
         yield _instant(measured, look, row, what, key, photos)
 
 
-def _chosen(look: Look, photos: Sequence[Photo]) -> list[int]:
+def choose_instants(
+    case: Case, pictured: Mapping[str, Collection[int]]
+) -> dict[str, tuple[int, ...]]:
+    """Return the instants that a report shows of each camera, for which an image is welcome.
+
+    Args:
+        case: The run.
+        pictured: By camera, the numbers of the instants that there are images of.
+
+    """
+    return {
+        look.camera.name: tuple(
+            int(look.frames[row]) for row in _chosen(look, pictured.get(look.camera.name, ()))
+        )
+        for look in measure(case).looks
+        if look.seen.any()
+    }
+
+
+def _chosen(look: Look, pictured: Collection[int]) -> list[int]:
     """Rows of a typical and of the worst instant, among those with an image where there are."""
     rows = np.flatnonzero(look.seen.sum(1) >= 0.5 * look.seen.sum(1).max())
-    pictured = np.flatnonzero(np.isin(look.frames, [photo.frame for photo in photos]))
-    rows = np.intersect1d(rows, pictured) if np.isin(rows, pictured).any() else rows
+    with_image = np.flatnonzero(np.isin(look.frames, list(pictured)))
+    rows = np.intersect1d(rows, with_image) if np.isin(rows, with_image).any() else rows
     if not np.isfinite(look.error_px).any():
         return [int(rows[len(rows) // 2])]
     with np.errstate(invalid='ignore'):
         of_frame = np.nan_to_num(np.nanmedian(_filled(look.error_px[rows]), axis=1))
     order = rows[np.argsort(of_frame, kind='stable')]
-    typical, worst = int(order[len(order) // 2]), int(order[-1])
+    typical, worst = int(order[(len(order) - 1) // 2]), int(order[-1])
     return [typical] if typical == worst else [typical, worst]
 
 

@@ -157,7 +157,7 @@ def _cameras3d(measured: Measured) -> Iterator[Mapping[str, Any]]:
         members = [c for c in cameras if (c.name in measured.moved) == (name == 'moved')]
         if not members:
             continue
-        yield _lines3d(_joined([_pyramid(c) for c in members]), name, colour, 3)
+        yield _lines3d(_joined([pyramid(c) for c in members]), name, colour, 3)
         centres = np.stack([_centre(c) for c in members])
         yield {
             **_xyz(centres, 3),
@@ -172,7 +172,7 @@ def _placed(measured: Measured) -> list[Camera]:
     return [look.camera for look in measured.looks] if measured.case.calibration else []
 
 
-def _pyramid(camera: Camera) -> Array:
+def pyramid(camera: Camera) -> Array:
     """The pyramid of view as one line (N, 3), world."""
     width, height = camera.size
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float64)

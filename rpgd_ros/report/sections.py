@@ -31,6 +31,7 @@ from rpgd_ros.report.blocks import (
 )
 from rpgd_ros.report.cameras import cameras
 from rpgd_ros.report.forms import forms
+from rpgd_ros.report.found import clocks, joint_offsets, persons, placed
 from rpgd_ros.report.measure import TIME_BINS, Measured, swapped_names
 from rpgd_ros.report.room import room
 
@@ -99,7 +100,7 @@ def joints(measured: Measured) -> Section | None:
         pairs = ', '.join(f'{a} and {b}' for a, b in swapped_names(measured))
         blocks.insert(0, Bullets((Link(f'Lie on each other instead of on themselves: {pairs}.'),)))
     figure = _joint_figure(list(c.per_joint), np.array(bands).T)
-    blocks += [figure, Table(head, tuple(rows), marked=frozenset(marked))]
+    blocks += [figure, Table(head, tuple(rows), marked=frozenset(marked)), *joint_offsets(c)]
     return Section('joints', 'Joints', tuple(blocks), is_marked=bool(swapped))
 
 
@@ -132,17 +133,7 @@ def times(measured: Measured) -> Section | None:
     c = measured.case.calibration
     if c is None or not measured.looks:
         return None
-    blocks: list[Block] = []
-    if c.time_offset_s:
-        rows = tuple(
-            (name, number(1000 * offset, 2, 'ms'), number(1000 * sigma, 2, 'ms'))
-            for name, (offset, sigma) in c.time_offset_s.items()
-        )
-        text = 'How late each video is stamped: MoCap time = video stamp \N{MINUS SIGN} offset.'
-        table = Table(('camera', 'late by', 'one standard deviation'), rows)
-        blocks += [Text(text), table]
-    else:
-        blocks.append(Text('Clock offsets were not estimated.'))
+    blocks: list[Block] = [*clocks(c), *persons(c)]
     blocks.append(_agreement(measured))
     return Section('time', 'Time', tuple(blocks))
 
@@ -294,6 +285,7 @@ def _optional(
 SECTIONS: tuple[Callable[[Measured], Iterator[Section]], ...] = (
     _optional(transform),
     _optional(room),
+    _optional(placed),
     cameras,
     _optional(joints),
     _optional(times),
