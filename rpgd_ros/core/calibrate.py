@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rpgd_ros.core.body import check_body, motion_m, sampled_joints
-from rpgd_ros.core.clocks import Clocks, set_clocks
 from rpgd_ros.core.config import (
     PAPER_RANSAC_FRAMES,
     PAPER_REFINE_FRAMES,
@@ -32,6 +31,7 @@ from rpgd_ros.core.ransac import published, robust_start
 from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
 from rpgd_ros.core.report import report, with_excluded
 from rpgd_ros.core.result import Calibration
+from rpgd_ros.core.settle import Details, settle
 from rpgd_ros.core.thin import MIDDLE_POINTS, budget, spread, thin
 
 if TYPE_CHECKING:
@@ -126,20 +126,33 @@ def _solve(
     check_body(sights)
     rng = np.random.default_rng(seed)
     centroid = _centroid(sights)
-    clocks = Clocks()
+    details: Details | None = None
     if config.ransac.score == 'inliers':
         pose, noise = _published_start(sights, config, rng, run)
         rival_ratio = np.inf
     else:
         start = robust_start(sights, config.ransac, rng, check=run.check('start'))
-        if config.time.estimate_offset != 'off':
-            clocks, sights, start = set_clocks(
-                sights, observations.mocap, start, centroid, config, rng, check=run.check('clocks')
-            )
         (pose, noise, _), rival_ratio = start.candidates[0], start.rival_ratio
-    descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
+        if config.time.estimate_offset != 'off' or config.refine.joint_offsets:
+            details = settle(
+                sights,
+                observations.mocap,
+                start,
+                centroid,
+                config,
+                rng,
+                check=run.check('details'),
+            )
+    if details is None:
+        descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
+    else:
+        sights, rival_ratio, loss = list(details.sights), details.rival_ratio, details.at.noise
+        threshold_px = config.ransac.threshold_px or details.at.noise.threshold_px
+        descent = appraise(
+            sights, details.at.state.pose, centroid, loss, threshold_px=threshold_px
+        )
     calibration = report(
-        sights, descent, loss, threshold_px=threshold_px, centroid=centroid, clocks=clocks,
+        sights, descent, loss, threshold_px=threshold_px, centroid=centroid, details=details,
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
         order=[c.name for c in cameras],
     )  # fmt: skip
@@ -169,15 +182,16 @@ def _pass_gates(solved: _Solved, run: _Run) -> None:
     refuse_swapped(sights, calibration)
     try:
         refuse(calibration, config.accept, motion_m(sights))
-        refuse_ambiguous(rival_ratio)
+        refuse_ambiguous(rival_ratio, calibration)
     except CalibrationError as refusal:
-        if refusal.reason is Reason.UNCERTAIN:
-            refuse_ambiguous(rival_ratio)  # the better name: a sigma is that of one of the minima
         check = run.check('diagnosis')
         if refusal.reason in MAY_BE_MIRRORED and is_mirrored(sights, config.ransac, check=check):
             raise CalibrationError(
                 Reason.MIRRORED_AXES, MIRRORED, calibration=calibration
             ) from refusal
+        if refusal.reason is Reason.UNCERTAIN:
+            # The better name: a sigma is that of one of the minima.
+            refuse_ambiguous(rival_ratio, calibration)
         raise
 
 

@@ -138,6 +138,10 @@ class RefineConfig(Stage):
     joint_noise: bool = setting(
         default=False, help='Estimate the noise of the 3D joints, too (Kinect, IMU suits)'
     )
+    joint_offsets: bool = setting(
+        default=False,
+        help="Estimate where the detector sees each joint: its hip is not the MoCap's hip",
+    )
     max_correspondences: int = setting(
         4_000_000,
         'Budget of the last passes; evenly spread frames beyond it',
@@ -154,6 +158,9 @@ class TimeConfig(Stage):
         'off', 'Estimate how late the video is stamped: one offset, or one per camera',
         choices=('off', 'common', 'per_camera'),
     )  # fmt: skip
+    estimate_rate: bool = setting(
+        default=False, help='Estimate, too, how fast that offset grows (59.94 against 60 fps)'
+    )
     search_s: float = setting(
         3.0, 'Largest offset looked for where video and MoCap were never synchronised', unit='s',
         low=0.0, high=60.0,
@@ -255,8 +262,8 @@ class CalibrationConfig:
     def thorough(cls) -> Self:
         """Return the settings of the node and of `calibrate_bag`."""
         return cls(
-            refine=RefineConfig(joint_noise=True),
-            time=TimeConfig(estimate_offset='per_camera'),
+            refine=RefineConfig(joint_noise=True, joint_offsets=True),
+            time=TimeConfig(estimate_offset='per_camera', estimate_rate=True),
             rig=RigConfig(on_bumped_camera='exclude'),
         )
 

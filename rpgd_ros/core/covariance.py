@@ -10,8 +10,8 @@ import numpy as np
 from rpgd_ros.core.geometry import Array
 
 if TYPE_CHECKING:
-    from rpgd_ros.core.offsets import TimedNormal
     from rpgd_ros.core.refine import Descent
+    from rpgd_ros.core.unknowns import System
 
 RELATIVE_FLOOR = 1e-12  # of the variances: keeps what invert floored factorable after rounding
 
@@ -21,7 +21,7 @@ def covariances(
     centroid_mocap: Array,
     *,
     variance: float = 1.0,
-    timed: TimedNormal | None = None,
+    system: tuple[System, Array] | None = None,
     systematic: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return `Calibration.covariance` and `Calibration.covariance_over_time`, (6, 6) each.
@@ -36,8 +36,8 @@ def covariances(
         descent: The end of the refinement.
         centroid_mocap: (3,) metres.
         variance: Factor of the loss to a log likelihood (1 for a fitted `NoiseModel`).
-        timed: Where offsets were estimated too, the sums by pose and offsets: what is not known
-            of the offsets is then not known of the pose.
+        system: Where more than the pose was estimated, the sums by all unknowns and the (p,)
+            precision of their priors: what is not known of them is then not known of the pose.
         systematic: (6,) how far the pose may be off for a reason that was found but not mended.
 
     """
@@ -52,27 +52,17 @@ def covariances(
         out: Array = to_origin @ about_pivot @ to_origin.T
         return 0.5 * (out + out.T)
 
-    by_joint = inverse @ between_groups(seen.joint_scores) @ inverse
-    by_time = inverse @ between_groups(seen.time_scores) @ inverse
-    whole = larger(variance * inverse, by_joint) if timed is None else _timed_covariance(timed)
-    about_pivot = whole[:6, :6]
+    if system is None:
+        by_joint = inverse @ between_groups(seen.joint_scores) @ inverse
+        by_time = inverse @ between_groups(seen.time_scores) @ inverse
+        about_pivot = larger(variance * inverse, by_joint)
+    else:
+        sums, precision = system
+        about_pivot = sums.covariance(precision)[:6, :6]
+        by_time = sums.covariance_over_time(precision)[:6, :6]
     if systematic is not None:
         about_pivot = about_pivot + np.outer(systematic, systematic)
     return moved(about_pivot), moved(by_time)
-
-
-def offset_sigmas(timed: TimedNormal) -> Array:
-    """Return the standard deviation of each estimated offset, seconds."""
-    inverse = invert(timed.hessian, timed.information)
-    by_time = inverse @ between_groups(timed.time_scores) @ inverse
-    sigma: Array = np.sqrt(np.diag(larger(_timed_covariance(timed), by_time))[6:])
-    return sigma
-
-
-def _timed_covariance(timed: TimedNormal) -> Array:
-    """Covariance of pose and offsets, as in `covariances`."""
-    inverse = invert(timed.hessian, timed.information)
-    return larger(inverse, inverse @ between_groups(timed.joint_scores) @ inverse)
 
 
 def between_groups(scores: Array) -> Array:

@@ -17,6 +17,13 @@ LOWEST_FPS, HIGHEST_FPS = 1e-3, 1e6  # a frame a quarter of an hour, a frame a m
 LARGEST_COORDINATE = 1e6  # metres or pixels; beyond it a number is damage, not data
 
 
+def is_there(points: Array) -> BoolArray:
+    """(...) whether points (..., n) are numbers, and no damaged ones."""
+    with np.errstate(invalid='ignore', over='ignore'):
+        there: BoolArray = np.abs(points).max(-1) < LARGEST_COORDINATE  # False for NaN
+    return there
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """The correspondences of one camera (C of the publication's Algorithm 1, for one i).
@@ -46,11 +53,7 @@ class View:
 
     def seen(self) -> BoolArray:
         """(F, J) whether both sides of a correspondence are there and are numbers."""
-        with np.errstate(invalid='ignore', over='ignore'):
-            uv = np.abs(self.uv).max(-1) < LARGEST_COORDINATE  # False for NaN
-            x = np.abs(self.x_mocap).max(-1) < LARGEST_COORDINATE
-        both: BoolArray = uv & x
-        return both
+        return is_there(self.uv) & is_there(self.x_mocap)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

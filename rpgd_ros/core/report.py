@@ -10,6 +10,7 @@ import numpy as np
 
 from rpgd_ros.core.agreement import Disagreement, disagreements, lost_cameras
 from rpgd_ros.core.covariance import covariances
+from rpgd_ros.core.findings import Findings
 from rpgd_ros.core.focal import check_focal
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
@@ -22,9 +23,9 @@ from rpgd_ros.core.thin import budget, thin
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rpgd_ros.core.clocks import Clocks
     from rpgd_ros.core.config import CalibrationConfig
     from rpgd_ros.core.examine import Tally
+    from rpgd_ros.core.settle import Details
 
 FOCAL_POINTS = 8192  # that the focal lengths are checked on: 2 ms
 ROUNDING_PX2 = 1e-8  # squared rounding of a residual in single precision: no data are better
@@ -37,7 +38,7 @@ def report(
     *,
     threshold_px: float,
     centroid: Array,
-    clocks: Clocks,
+    details: Details | None,
     joint_names: tuple[str, ...] | None,
     config: CalibrationConfig,
     seconds: float,
@@ -50,13 +51,13 @@ def report(
     if isinstance(loss, SquaredLoss) and n > 3:
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
         variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
-    timed = clocks.equations(descent.pose, centroid, loss)
     few = thin(sights, 0, budget(sights, FOCAL_POINTS))
     noise = loss if isinstance(loss, NoiseModel) else noise_at(few, descent.pose)
     focal = check_focal(few, descent.pose, centroid, noise)
-    warnings = [*clocks.warnings, *([focal.sentence()] if focal.is_wrong else [])]
+    findings = Findings.of(details) if details is not None else Findings()
+    warnings = [*findings.warnings, *([focal.sentence()] if focal.is_wrong else [])]
     covariance, over_time = covariances(
-        descent, centroid, variance=variance, timed=timed, systematic=focal.pose_error
+        descent, centroid, variance=variance, system=findings.system, systematic=focal.pose_error
     )
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     contradicting = disagreements(sights, descent, centroid)
@@ -78,7 +79,9 @@ def report(
         per_camera={name: by_camera[name] for name in order if name in by_camera},
         per_joint=fits(counts, names, axis=0),
         config=config,
-        time_offset_s=clocks.offsets(timed),
+        time_offset_s=findings.time_offset_s,
+        clock_rate=findings.clock_rate,
+        joint_offset_m=findings.joint_offset_m(names),
         disagreements=tuple(contradicting),
         warnings=(*warnings, *_camera_warnings(sights, counts, contradicting)),
         seconds=seconds,

@@ -15,6 +15,7 @@ from rpgd_ros.core.geometry import Array, RigidTransform
 if TYPE_CHECKING:
     from rpgd_ros.core.agreement import Disagreement
     from rpgd_ros.core.camera_pose import CameraPose
+    from rpgd_ros.core.findings import JointOffset
     from rpgd_ros.core.persons import Shown
 
 
@@ -67,6 +68,9 @@ class Calibration:
         per_camera: Fit by camera name.
         per_joint: Fit by joint name, or number.
         time_offset_s: {camera: (offset, sigma)} where estimated, seconds.
+        clock_rate: {camera: (rate, sigma)} where a clock runs wrong: by how much later it gets,
+            seconds per second. The offset is then that in mid-recording.
+        joint_offset_m: Where the detector sees each joint, where estimated.
         disagreements: Cameras that contradict the others, the worst first.
         camera_poses: Extrinsics by camera, where they were found (`calibrate_cameras`).
         shown: By camera, how much of its video shows the persons with MoCap, where several
@@ -93,6 +97,8 @@ class Calibration:
     config: CalibrationConfig
     covariance_over_time: Array = field(default_factory=lambda: np.zeros((6, 6)))
     time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    clock_rate: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    joint_offset_m: Mapping[str, JointOffset] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
     camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
     shown: Mapping[str, Shown] = field(default_factory=dict)

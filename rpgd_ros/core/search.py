@@ -8,12 +8,13 @@ neighbourhood of the best offsets is searched again, finer.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.core.offsets import shifted
+from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.pool import make_pool
 from rpgd_ros.core.ransac import draw_triplets, rank, solve_triplets
 from rpgd_ros.core.thin import spread
@@ -21,7 +22,6 @@ from rpgd_ros.core.thin import spread
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rpgd_ros.core.linearise import Sight
     from rpgd_ros.core.timeline import Timeline
 
 GRID_S = 0.08  # a walker moves 10 cm meanwhile: halfway between, a pose still explains the rest
@@ -63,7 +63,7 @@ def _scores(
     out = np.full(len(offsets), np.inf)
     for k, offset in enumerate(offsets):
         check(k / len(offsets))
-        pool = make_pool(shifted([sight], timeline, [offset])[0], POINTS, rng)
+        pool = make_pool([_late(sight, timeline, offset)], POINTS, rng)
         if len(pool) < POINTS // 4:
             continue  # the skeletons of that offset are not in the recording
         triplets = draw_triplets(pool, n_triplets, rng, same_frame=False)
@@ -71,3 +71,13 @@ def _scores(
         if len(ranked.score):
             out[k] = ranked.score[0]
     return out
+
+
+def _late(sight: Sight, timeline: Timeline, offset_s: float) -> Sight:
+    """Return the camera with the skeletons of its stamps less an offset."""
+    stamp_ns = sight.view.stamp_ns
+    if stamp_ns is None:
+        msg = 'a view without stamps has no offset'
+        raise ValueError(msg)
+    x, _ = timeline.at(timeline.seconds(stamp_ns) - offset_s)
+    return Sight(sight.camera, replace(sight.view, x_mocap=x))

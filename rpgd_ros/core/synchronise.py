@@ -1,139 +1,154 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole question of time: which offsets there are, and which of them can be known."""
+"""The question of time: how late each video is stamped, and what of that can be known."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rpgd_ros.core.covariance import offset_sigmas
-from rpgd_ros.core.geometry import Array, RigidTransform
+from rpgd_ros.core.adjust import Problem, State, adjust, look, prior
+from rpgd_ros.core.covariance import larger
+from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight, residuals
 from rpgd_ros.core.noise import NoiseModel, noise_at
-from rpgd_ros.core.offsets import descend_in_time, shifted, timed_equations
 from rpgd_ros.core.ransac import Start, robust_start
 from rpgd_ros.core.search import coarse_offset
+from rpgd_ros.core.unknowns import System, Unknowns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from rpgd_ros.core.config import CalibrationConfig
     from rpgd_ros.core.timeline import Timeline
 
 WEAK_SHARE = 0.5  # a camera of which less agrees may be off by more than a descent can bridge
 STEPS = 12
+# Quartz is 1e-4 off at worst. Beyond that, and beyond doubt, frames were counted at a wrong rate.
+RATE_SIGMAS, LEAST_RATE = 5.0, 2e-5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Synchronised:
-    """Offsets and the pose that goes with them.
+class Settled(NamedTuple):
+    """A state, what was estimated of it, and the spread of the residuals there."""
 
-    Attributes:
-        offset_s: (V,) seconds: MoCap time = video stamp - offset; 0 where it cannot be known.
-        column: Per camera the number of its offset among those estimated, or -1.
-        pose: world_T_mocap at these offsets.
-        noise: Spread of its residuals.
-
-    """
-
-    offset_s: Array
-    column: tuple[int, ...]
-    pose: RigidTransform
+    state: State
+    unknowns: Unknowns
     noise: NoiseModel
 
 
 def synchronise(
-    sights: Sequence[Sight], timeline: Timeline, start: Start, centroid_mocap: Array,
-    config: CalibrationConfig, rng: np.random.Generator,
-    *, check: Callable[[float], None],
-) -> Synchronised:  # fmt: skip
-    """Estimate offsets and pose on a part of the data.
+    problem: Problem, timeline: Timeline, start: Start, config: CalibrationConfig,
+    rng: np.random.Generator, *, check: Callable[[float], None],
+) -> Settled:  # fmt: skip
+    """Estimate the clocks of the videos, and the pose, on a part of the data.
 
     Args:
-        sights: Cameras with their data; all have stamps.
-        timeline: The MoCap track.
+        problem: Cameras with their data; all have stamps.
+        timeline: Its MoCap track.
         start: Outcome of the robust start without offsets.
-        centroid_mocap: (3,) pivot, metres.
         config: Settings.
         rng: Source of the draws.
         check: Called with the fraction done; raises to end the run.
 
     """
+    n = len(problem.sights)
     is_common = config.time.estimate_offset == 'common'
-    column = tuple(0 if is_common else v for v in range(len(sights)))
-    state = _begin(np.zeros(len(sights)), column, start)
-    state = _settle(sights, timeline, state, centroid_mocap, check)
-    weak = [v for v, share in enumerate(_shares(sights, timeline, state)) if share < WEAK_SHARE]
-    if config.time.search_s > 0.0 and (weak or not state.noise.is_sharp):
-        offset_s = state.offset_s.copy()
-        for v in weak if state.noise.is_sharp else range(len(sights)):
+    unknowns = Unknowns(tuple(0 if is_common else v for v in range(n)), (-1,) * n)
+    at = settled(problem, _begin(problem, np.zeros(n), unknowns, start), check)
+    weak = [v for v, share in enumerate(_shares(problem, at)) if share < WEAK_SHARE]
+    if config.time.search_s > 0.0 and (weak or not at.noise.is_sharp):
+        offset_s = at.state.offset_s.copy()
+        for v in weak if at.noise.is_sharp else range(n):
             offset_s[v] = coarse_offset(
-                sights[v], timeline, span_s=config.time.search_s, rng=rng, check=check
+                problem.sights[v], timeline, span_s=config.time.search_s, rng=rng, check=check
             )
         if is_common:
             offset_s[:] = np.median(offset_s)
-        moved, _ = shifted(sights, timeline, offset_s)
+        moved = problem.scene(replace(at.state, offset_s=offset_s)).sights
         again = robust_start(moved, config.ransac, rng, check=check)
-        searched = _begin(offset_s, column, again)
-        searched = _settle(sights, timeline, searched, centroid_mocap, check)
-        if (not searched.noise.is_sharp, -searched.noise.share) < (
-            not state.noise.is_sharp,
-            -state.noise.share,
-        ):
-            state = searched
-    return _without_unknown(sights, timeline, state, centroid_mocap, config, check)
+        searched = settled(problem, _begin(problem, offset_s, unknowns, again), check)
+        at = min(at, searched, key=lambda s: (not s.noise.is_sharp, -s.noise.share))
+    return _with_rates(problem, at, check) if config.time.estimate_rate else at
 
 
-def _begin(offset_s: Array, column: tuple[int, ...], start: Start) -> Synchronised:
+def _begin(problem: Problem, offset_s: Array, unknowns: Unknowns, start: Start) -> Settled:
     pose, noise, _ = start.candidates[0]
-    return Synchronised(offset_s, column, pose, noise)
+    n_joints = problem.sights[0].view.n_joints
+    state = State(pose, offset_s, np.zeros(len(offset_s)), np.zeros((n_joints, 3)))
+    return Settled(state, unknowns, noise)
 
 
-def _settle(
-    sights: Sequence[Sight], timeline: Timeline, state: Synchronised, centroid_mocap: Array,
-    check: Callable[[float], None],
-) -> Synchronised:  # fmt: skip
+def settled(problem: Problem, at: Settled, check: Callable[[float], None]) -> Settled:
     """Descend, fit the noise again, descend."""
-    pose, offset_s, noise = state.pose, state.offset_s, state.noise
+    state, noise = at.state, at.noise
     for _ in range(2):
-        pose, offset_s, _ = descend_in_time(
-            sights, timeline, pose, offset_s, centroid_mocap=centroid_mocap, loss=noise,
-            column=state.column, max_steps=STEPS, check=check,
-        )  # fmt: skip
-        noise = noise_at(shifted(sights, timeline, offset_s)[0], pose)
-    return replace(state, offset_s=offset_s, pose=pose, noise=noise)
+        state, _ = adjust(problem, state, at.unknowns, noise, max_steps=STEPS, check=check)
+        noise = noise_at(
+            problem.scene(state).sights, state.pose, with_joints=noise.joint_sigma_m > 0.0
+        )
+    return Settled(state, at.unknowns, noise)
 
 
-def _without_unknown(
-    sights: Sequence[Sight], timeline: Timeline, state: Synchronised, centroid_mocap: Array,
-    config: CalibrationConfig, check: Callable[[float], None],
-) -> Synchronised:  # fmt: skip
+def _with_rates(problem: Problem, at: Settled, check: Callable[[float], None]) -> Settled:
+    """Estimate the rates, too, of the clocks that run wrong beyond doubt."""
+    offset = at.unknowns.offset
+    freed = at._replace(unknowns=replace(at.unknowns, rate=offset))
+    system = look(problem, freed.state, freed.unknowns, freed.noise)
+    precision, value = prior(freed.unknowns, freed.state)
+    step, _ = system.step(precision, value)
+    sigma = sigmas(system, precision)[freed.unknowns.rates]
+    off = np.abs(step[freed.unknowns.rates]) > np.maximum(RATE_SIGMAS * sigma, LEAST_RATE)
+    if not off.any():
+        return at
+    wrong = np.flatnonzero(off).tolist()
+    rate = tuple(wrong.index(c) if c in wrong else -1 for c in offset)
+    return settled(problem, at._replace(unknowns=replace(at.unknowns, rate=rate)), check)
+
+
+def without_unknown(
+    problem: Problem, at: Settled, max_sigma_s: float, check: Callable[[float], None]
+) -> Settled:
     """Set offsets to zero that the motion does not tell, and settle the rest again."""
-    moved, velocities = shifted(sights, timeline, state.offset_s)
-    normal = timed_equations(
-        moved, velocities, state.pose, centroid_mocap, state.noise, state.column
-    )
-    sigma = offset_sigmas(normal)
-    known = [c for c in sorted(set(state.column)) if sigma[c] <= config.time.max_sigma_s]
+    unknowns = at.unknowns
+    precision, _ = prior(unknowns, at.state)
+    system = look(problem, at.state, unknowns, at.noise)
+    sigma = sigmas(system, precision)[unknowns.offsets]
+    known = np.flatnonzero(sigma <= max_sigma_s).tolist()
     if len(known) == len(sigma):
-        return state
-    column = tuple(known.index(c) if c in known else -1 for c in state.column)
-    offset_s = np.where(np.array(column) >= 0, state.offset_s, 0.0)
-    rest = replace(state, offset_s=offset_s, column=column)
-    return _settle(sights, timeline, rest, centroid_mocap, check)
+        return at
+    is_known = np.array([c in known for c in unknowns.offset])
+    rates = sorted({r for r, k in zip(unknowns.rate, is_known, strict=True) if k and r >= 0})
+    rest = replace(
+        unknowns,
+        offset=tuple(known.index(c) if c in known else -1 for c in unknowns.offset),
+        rate=tuple(rates.index(r) if r in rates else -1 for r in unknowns.rate),
+    )
+    state = replace(
+        at.state,
+        offset_s=np.where(is_known, at.state.offset_s, 0.0),
+        rate=np.where(is_known, at.state.rate, 0.0),
+    )
+    return settled(problem, Settled(state, rest, at.noise), check)
 
 
-def _shares(sights: Sequence[Sight], timeline: Timeline, state: Synchronised) -> list[float]:
-    """Share of each camera's correspondences that agree with the pose."""
-    out = []
-    for sight in shifted(sights, timeline, state.offset_s)[0]:
-        near = seen = 0
-        for x, uv in sight.chunks():
-            res = residuals(sight.camera, sight.camera_T_world @ state.pose, x, uv)
-            close = res.in_view & (res.squared < state.noise.threshold_px**2)
-            near += int(np.count_nonzero(close))
-            seen += int(np.count_nonzero(res.seen))
-        out.append(near / max(seen, 1))
+def sigmas(system: System, precision: Array) -> Array:
+    """(p,) standard deviation of each unknown: what joints and times say of it, the larger."""
+    whole = larger(system.covariance(precision), system.covariance_over_time(precision))
+    out: Array = np.sqrt(np.diag(whole))
     return out
+
+
+def _shares(problem: Problem, at: Settled) -> list[float]:
+    """Share of each camera's correspondences that agree with the pose."""
+    return [_share(s, at) for s in problem.scene(at.state).sights]
+
+
+def _share(sight: Sight, at: Settled) -> float:
+    near = seen = 0
+    for x, uv in sight.chunks():
+        res = residuals(sight.camera, sight.camera_T_world @ at.state.pose, x, uv)
+        close = res.in_view & (res.squared < at.noise.threshold_px**2)
+        near += int(np.count_nonzero(close))
+        seen += int(np.count_nonzero(res.seen))
+    return near / max(seen, 1)

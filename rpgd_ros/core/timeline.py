@@ -3,10 +3,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from rpgd_ros.core.geometry import Array, IntArray
 from rpgd_ros.core.observations import LARGEST_COORDINATE, NS_PER_S, MocapTrack
+
+if TYPE_CHECKING:
+    from rpgd_ros.core.body_frame import BodyFrame
 
 MAX_GAP_S = 0.1  # a limb swings through 10 cm meanwhile: no curve knows which way it went
 
@@ -38,6 +43,7 @@ class Timeline:
         x = np.where(whole, track.x_mocap, np.nan)
         self._x = _evened(x) if is_noisy else x
         self._slope = _slopes(self._t, self._x)
+        self._turns: tuple[BodyFrame, Array] | None = None
 
     def seconds(self, stamp_ns: IntArray) -> Array:
         """Return stamps as seconds after the first sample."""
@@ -68,6 +74,21 @@ class Timeline:
         x[~inside] = np.nan
         v[~np.isfinite(x)] = 0.0
         return x, v
+
+    def turned(self, body: BodyFrame, t: Array) -> Array:
+        """Return (F, 3, 3) mocap_R_heading at instants (F,), seconds: linear between samples.
+
+        Between samples of 50 Hz a body turns by 3 deg at most: the mean of both is a rotation to
+        one part in a thousand.
+        """
+        if self._turns is None or self._turns[0] is not body:
+            self._turns = (body, body.headings(self._x))
+        turns = self._turns[1]
+        before = np.clip(np.searchsorted(self._t, t, side='right') - 1, 0, len(self._t) - 2)
+        s = np.clip((t - self._t[before]) / (self._t[before + 1] - self._t[before]), 0.0, 1.0)
+        s = s[:, None, None]
+        mean: Array = (1.0 - s) * turns[before] + s * turns[before + 1]
+        return mean
 
     def _smooth(self, before: IntArray, s: Array, h: Array, x: Array, v: Array) -> None:
         """Put the cubic B-spline in the place of the interpolation where four samples exist."""
