@@ -20,7 +20,7 @@ from rpgd_ros.session.expect import Expectation, Expected
 from rpgd_ros.session.guidance import Guidance
 from rpgd_ros.session.monitor import Monitor, appraise
 from rpgd_ros.session.recent import Recent
-from rpgd_ros.simulation import Faults
+from rpgd_ros.simulation import Faults, build_scene, preset, simulate
 from rpgd_ros.simulation.export import rig_of
 from rpgd_ros.simulation.motion import MotionName
 
@@ -224,3 +224,24 @@ def test_session_is_guided_from_the_first_step_to_a_calibration() -> None:
     session.reset()
     monitor.clear()
     assert monitor.guidance(gates, 1.0).seconds == 0.0
+
+
+def test_watch_looks_at_the_person_with_mocap_among_others() -> None:
+    """Others in the images come first in half of the messages, and raise nothing."""
+    scene = build_scene(preset('studio'), 3, seconds=16.0, persons=3)
+    recording = simulate(scene)
+    session = Session(rig_of(recording))
+    monitor = Monitor(session, max_age_s=300.0)
+    is_watched = False
+    for now in play(recording, session):
+        monitor.look()
+        if not is_watched and now > 8.0:
+            snapshot = session.snapshot()
+            assert snapshot.is_crowd
+            found = appraise(snapshot, solve(snapshot))
+            monitor.conclude(found, is_accepted=True, is_automatic=True)
+            is_watched = True
+    assert is_watched
+    assert monitor.watch.complaint() == ''
+    for state in monitor.watch.states().values():
+        assert state.error_px < 1.3 * state.level_px

@@ -93,14 +93,16 @@ class Engine:
                 self.results.pose,
                 published_cameras=self.results.camera_poses,
                 check=self._gate(snapshot) if is_automatic else None,
-                save=partial(self.results.write, frames, self._worker, data=replace(snapshot)),
+                save=partial(self.results.write, frames, self._worker, data=snapshot),
                 progress=self._on_progress,
                 should_stop=self._worker.should_stop,
             )
             ended = await self._in_worker(job)
             outcome = self._refusal(ended) if isinstance(ended, Exception) else ended
-        # A copy has none of the pairs that the solve has made: they take most memory.
-        data = replace(snapshot) if isinstance(snapshot, Snapshot) else None
+        data = None
+        if outcome.is_accepted and isinstance(snapshot, Snapshot):
+            # A copy has none of the pairs that the solve has made: they take most memory.
+            data = replace(snapshot.alone())
         self._conclude(outcome, data, is_automatic=is_automatic)
         return outcome
 

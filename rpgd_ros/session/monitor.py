@@ -148,7 +148,7 @@ class Monitor:
         is_automatic: bool = False,
     ) -> None:
         """Watch a pose from now on; arguments as for `Watch.accept` and `Recent`."""
-        self.recent.offsets_s = dict(offsets_s)
+        self.recent.offsets_s, self.recent.pose = dict(offsets_s), pose
         self.watch.accept(pose, levels, is_automatic=is_automatic)
 
     def guidance(self, gates: AcceptConfig, needed_motion_m: float) -> Guidance:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -46,12 +46,15 @@ class Recent:
         offsets_s: How late videos are stamped by the calibration that holds, by camera; for the
             others holds what the rig file says.
         poses: camera_T_world of the cameras that a calibration has placed.
+        pose: world_T_mocap where it is known: tells which of several persons in an image is the
+            one with MoCap. Without it the first one is taken.
 
     """
 
     session: Session
     offsets_s: Mapping[str, float] = field(default_factory=dict)
     poses: Mapping[str, RigidTransform] = field(default_factory=dict)
+    pose: RigidTransform | None = None
     _after_ns: dict[str, int] = field(default_factory=dict)
     _n_epochs: int = 0
 
@@ -116,11 +119,16 @@ class Recent:
         self._after_ns[name] = int(stamps[end - 1])
         since = max(int(np.searchsorted(mocap_ns, stamps[first] - offset_ns)) - 1, 0)
         skeletons = _rows(mocap.store.arrays(), slice(since, None))
-        track = source.track(_rows(source.store.arrays(), slice(first, end)), offset_s)
-        keypoints = in_columns(track, skeletons.values.shape[1], camera.size)
-        view, _ = pair(skeletons, keypoints, settings=sync, time_offset_s=offset_s)
+        views = []
+        for sent in _detections(source, slice(int(first), int(end))):
+            track = source.track(sent, offset_s)
+            keypoints = in_columns(track, skeletons.values.shape[1], camera.size)
+            views.append(pair(skeletons, keypoints, settings=sync, time_offset_s=offset_s)[0])
+        view = views[0]
         if not view.n_frames:
             return None
+        if len(views) > 1 and self.pose is not None:
+            view = _nearest(views, camera, self.pose)
         return Pairs(camera, source.frame_id or name, view, offset_ns)
 
 
@@ -131,6 +139,34 @@ def _placed(source: CameraInput, found: RigidTransform | None, *, is_only: bool)
         return None
     pose = camera.camera_T_world or found or (RigidTransform.identity() if is_only else None)
     return None if pose is None else replace(camera, camera_T_world=pose)
+
+
+def _detections(source: CameraInput, rows: slice) -> list[Samples]:
+    """Return some frames of a camera, once for each person that it sees."""
+    persons = source.lend_persons()
+    if persons is None:
+        return [_rows(source.store.arrays(), rows)]
+    stamp_ns, values, confidence = persons
+    return [
+        Samples(
+            stamp_ns[rows], values[rows, p], None if confidence is None else confidence[rows, p]
+        )
+        for p in range(values.shape[1])
+    ]
+
+
+def _nearest(views: Sequence[View], camera: Camera, pose: RigidTransform) -> View:
+    """Choose in each frame the person whose keypoints lie nearest to the reprojection.
+
+    A frame of a person with fewer joints than half of the fullest is not chosen for that.
+    """
+    uv = np.stack([view.uv for view in views])
+    apart = np.linalg.norm(uv - camera.project(pose @ views[0].x_mocap), axis=-1)
+    n_seen = np.isfinite(apart).sum(-1)
+    apart = np.where(np.isfinite(apart), apart, 0.0).sum(-1) / np.maximum(n_seen, 1)
+    apart[n_seen < np.maximum(0.5 * n_seen.max(0), 1)] = np.inf
+    person, frames = apart.argmin(0), np.arange(uv.shape[1])
+    return View(views[0].stamp_ns, views[0].x_mocap, uv[person, frames])
 
 
 def _rows(samples: Samples, rows: slice) -> Samples:
