@@ -256,7 +256,8 @@ def test_all_frames_in_one_message_are_learnt_at_once() -> None:
 def test_frames_that_hang_on_nothing_known_are_no_skeletons() -> None:
     """A tree that does not reach the MoCap frame, and one that runs in a circle."""
     loose = [link(i, 'elsewhere', 'bob_LHipJC', (1, 2, 3)) for i in range(N_FRAMES)]
-    assert fed(loose, TF_MESSAGE, TREE).counts(MOCAP)['skeletons'] == 0
+    counts = fed(loose, TF_MESSAGE, TREE).counts(MOCAP)
+    assert (counts['kept'], counts['unlinked'], counts['skeletons']) == (0, N_FRAMES, 0)
     circle = [
         message
         for i in range(N_FRAMES)
@@ -266,6 +267,18 @@ def test_frames_that_hang_on_nothing_known_are_no_skeletons() -> None:
         )
     ]  # fmt: skip
     assert fed(circle, TF_MESSAGE, TREE).counts(MOCAP)['skeletons'] == 0
+
+
+def test_without_a_frame_all_joints_must_hang_on_one() -> None:
+    """Else nobody knows which frame the skeleton is wanted in: the rig file has to say."""
+    flat = [
+        link(i, 'vicon', f'bob_{name}', (1, 2, 3)) for i in range(N_FRAMES) for name in JOINTS[:3]
+    ]
+    chained = [link(i, 'bob_LHipJC', 'bob_RKneeJC', (1, 2, 3)) for i in range(N_FRAMES)]
+    session = fed(flat + chained, TF_MESSAGE, 'topic: /tf, names: "bob_{joint}"')
+    assert session.mocap_frame == 'vicon'
+    assert session.counts(MOCAP)['skeletons'] == N_FRAMES
+    assert session.counts(MOCAP)['needs_mocap_frame'] == N_FRAMES
 
 
 def test_a_frame_that_changes_its_parent_is_refused() -> None:

@@ -83,6 +83,7 @@ class GatheredStream:
         """
         self.problems: Counter[str] = Counter()
         self.root = root
+        self._may_chain = bool(root)
         self._names = tuple(names)
         self._buffer = buffer.max_frames, buffer.max_age_s
         self._parts: dict[str, JointStream] = {}
@@ -97,7 +98,10 @@ class GatheredStream:
         total: Counter[str] = Counter({'received': 0, 'kept': 0})
         for part in self._parts.values():
             total.update(part.counts)
-        return {**total, **self.problems, 'skeletons': len(self.stamps())}
+        n_skeletons = len(self.stamps())
+        if not n_skeletons and total['kept']:  # chains that do not reach the root
+            total = total - Counter(kept=total['kept']) + Counter(unlinked=total['kept'])
+        return {'kept': 0, **total, **self.problems, 'skeletons': n_skeletons}
 
     def add(self, batch: PartBatch) -> bool:
         """Take parts in the order of their arrival.
@@ -176,9 +180,13 @@ class GatheredStream:
     ) -> bool:
         """Tell whether a part can be used, and learn what lies between it and the root."""
         self.root = self.root or parent
-        is_alone = batch.values.shape[1] == POSITION_VALUES  # without what a chain would need
-        if self._parents.setdefault(name, parent) != parent or (is_alone and parent != self.root):
+        is_place = batch.values.shape[1] == POSITION_VALUES  # without what a chain would need
+        if self._parents.setdefault(name, parent) != parent or (is_place and parent != self.root):
             self.problems['frame_changed'] += 1
+            return False
+        if parent != self.root and not self._may_chain:
+            # Frames that hang on each other: where the chain is to end, nobody can guess.
+            self.problems['needs_mocap_frame'] += 1
             return False
         while parent not in self._wanted and parent != self.root:
             if len(self._wanted) >= MAX_PARTS:
