@@ -13,9 +13,8 @@ from threading import Event
 from rich.console import Console
 
 from rpgd_ros.apps.progress import one_bar
-from rpgd_ros.core.body import motion_m
+from rpgd_ros.apps.snapshot_case import moved_m, observations_of, offsets_s
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
-from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.observations import Observations
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.recording import Recording, open_recording
@@ -65,32 +64,17 @@ class BagRun:
         """The pairs, at the clock offsets that were found."""
         if self.snapshot is None:
             return None
-        alone = self.snapshot.alone()
-        tracks = tuple(
-            replace(track, time_offset_s=offset_s)
-            for track, offset_s in zip(alone.keypoints, self.offsets_s, strict=True)
-        )
-        return replace(alone, keypoints=tracks).observations
+        return observations_of(self.snapshot, self.calibration)
 
     @property
     def offsets_s(self) -> tuple[float, ...]:
         """How late the video of each camera is stamped, found or known, seconds."""
-        if self.snapshot is None:
-            return ()
-        found = self.calibration.time_offset_s if self.calibration else {}
-        return tuple(
-            found.get(camera.name, (track.time_offset_s, 0.0))[0]
-            for camera, track in zip(self.snapshot.cameras, self.snapshot.keypoints, strict=True)
-        )
+        return offsets_s(self.snapshot, self.calibration) if self.snapshot else ()
 
     @property
     def moved_m(self) -> float:
         """Distance that the body covered, as the gates count it, metres; NaN where unknown."""
-        if self.snapshot is None:
-            return float('nan')
-        views = self.snapshot.observations.views
-        pairs = zip(self.snapshot.cameras, views, strict=True)
-        return motion_m([Sight(camera, view) for camera, view in pairs if view.n_frames])
+        return moved_m(self.snapshot) if self.snapshot else float('nan')
 
     @property
     def streams(self) -> tuple[StreamCount, ...]:

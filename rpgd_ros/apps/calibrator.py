@@ -6,8 +6,15 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rpgd_ros.ros.signals import StopFlag
+
+if TYPE_CHECKING:
+    from rpgd_ros.core.result import Calibration
+    from rpgd_ros.io.frames import Frames
+    from rpgd_ros.session import Snapshot
 
 DESCRIPTION = """\
 Calibrates a MoCap system against cameras while a person walks through the room, and publishes the
@@ -52,11 +59,36 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         return 2
     try:
-        run_node([parser.prog, *arguments], stop)
+        run_node([parser.prog, *arguments], stop, report=_write_report)
     except InputError as error:
         print(f'calibrator: {error.message}', file=sys.stderr)
         return 2
     return 0
+
+
+def _write_report(
+    path: Path, calibration: Calibration, data: Snapshot, frames: Frames, found_ns: int
+) -> str:
+    """Write a page about a saved result; returns why there is none, '' = written."""
+    # Plots are loaded by who asks for them.
+    from rpgd_ros.apps.snapshot_case import case_of_snapshot  # noqa: PLC0415
+    from rpgd_ros.core.errors import InputError  # noqa: PLC0415
+    from rpgd_ros.report import check_libraries, write_report  # noqa: PLC0415
+
+    try:
+        check_libraries()
+        case = case_of_snapshot(
+            path.stem,
+            data.settled(calibration.camera_poses),
+            calibration,
+            world_frame=frames.world,
+            mocap_frame=frames.mocap,
+            stamp_ns=found_ns,
+        )
+        write_report(path, case)
+    except InputError as error:
+        return error.message
+    return ''
 
 
 def without_ros(arguments: Sequence[str]) -> list[str]:

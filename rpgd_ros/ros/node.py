@@ -26,7 +26,7 @@ from rpgd_ros.ros.engine import Engine
 from rpgd_ros.ros.inputs import JointInput, health_by_stream
 from rpgd_ros.ros.job import answer
 from rpgd_ros.ros.overlays import Overlays
-from rpgd_ros.ros.results import Results
+from rpgd_ros.ros.results import ReportWriter, Results
 from rpgd_ros.ros.settings import NodeConfig
 from rpgd_ros.ros.setup import read_setup
 from rpgd_ros.ros.transforms import LATCHED, TransformOutput
@@ -41,8 +41,12 @@ POLL_SECONDS = 0.1  # a publisher is found and a signal heeded within it
 class CalibratorNode(Node):
     """Calibrates from the topics of a rig file and publishes the transform."""
 
-    def __init__(self, name: str = NODE_NAME) -> None:
+    def __init__(self, name: str = NODE_NAME, *, report: ReportWriter | None = None) -> None:
         """Read rig file and parameters, publish a kept result, subscribe.
+
+        Args:
+            name: Of the node.
+            report: Writes a page beside the result when asked to save.
 
         Raises:
             InputError: Rig file or parameters that cannot be used.
@@ -57,6 +61,7 @@ class CalibratorNode(Node):
         self._n_at_last_run = 0
         output = TransformOutput(self, with_tf=config.node.tf_mode == 'static')
         results = Results(self, output, rig.world_frame, config.node.result_file)
+        results.report = report
         session = Session(rig, config.session())
         self._monitor = Monitor(session, max_age_s=config.buffer.max_age_s)
         self._engine = Engine(self, session, results, monitor=self._monitor, flush=self._flush)

@@ -14,19 +14,23 @@ from rclpy.signals import SignalHandlerOptions
 
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.ros.node import CalibratorNode
+from rpgd_ros.ros.results import ReportWriter
 from rpgd_ros.ros.signals import StopFlag
 
 STOP_SECONDS = 1.2  # for the running solve to end; the whole end is promised within 2 s
 ANSWER_SECONDS = 0.1  # for calls that had arrived, and for answers to leave the process
 
 
-def run_node(arguments: Sequence[str], stop: StopFlag) -> None:
+def run_node(
+    arguments: Sequence[str], stop: StopFlag, *, report: ReportWriter | None = None
+) -> None:
     """Run the node until a signal ends it.
 
     Args:
         arguments: Command line with the program's name first.
         stop: Looked at between two callbacks; the timers of the node see to it that there is
             always a next one within 0.1 s.
+        report: Writes a page beside the result when asked to save.
 
     Raises:
         InputError: Arguments, parameters or files that cannot be used.
@@ -34,7 +38,7 @@ def run_node(arguments: Sequence[str], stop: StopFlag) -> None:
     """
     _init(arguments)
     try:
-        node = CalibratorNode()
+        node = CalibratorNode(report=report)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         try:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,6 +34,11 @@ MAX_HISTORY = 10  # accepted calibrations of this process that ~/revert can go b
 NS_PER_S = 1_000_000_000
 
 
+# Writes a page about a result: file, calibration, what it was found from, frames, when. Returns
+# why there is none, '' = written. Handed in by the program, so that no node needs plots.
+ReportWriter = Callable[[Path, Calibration, Snapshot, Frames, int], str]
+
+
 class Accepted(NamedTuple):
     """One accepted calibration.
 
@@ -58,8 +63,11 @@ class Results:
 
     Attributes:
         path: Of the result file.
+        report: Writes a page beside it when asked to save; None = nothing.
 
     """
+
+    report: ReportWriter | None = None
 
     def __init__(
         self, node: Node, output: TransformOutput, world_frame: str, result_file: str
@@ -203,6 +211,13 @@ class Results:
         self.write(
             newest.frames, worker, newest.calibration, found_ns=newest.found_ns, data=newest.data
         )
+        if self.report is not None and newest.data is not None:
+            page = self.path.with_suffix('.html')
+            why_not = self.report(
+                page, newest.calibration, newest.data, newest.frames, newest.found_ns
+            )
+            said = f'no report: {why_not}' if why_not else f'the report is in {page}'
+            self._node.get_logger().info(said)
 
     def load(self) -> StoredResult:
         """Publish what the result file holds.
