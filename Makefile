@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-oldest test-versions faults faults-long lint bench clean
+.PHONY: help setup demo test test-oldest test-versions faults faults-long lint bench bench-live clean
 
 VENV ?= .venv
 VENV_OLDEST ?= .venv-oldest
@@ -34,6 +34,7 @@ rpgd_ros: align a motion-capture system with cameras from a walking person
   make faults  all faults and threats with their figures (25 min); make faults-long: an hour more
   make lint    check style and types     (ruff, mypy)
   make bench   measure accuracy and speed
+  make bench-live  measure rates, losses and latencies of the live node (6 minutes)
   make clean   remove the virtual environments and everything built
 
 The first of them sets up $(VENV) with Python 3.11 or 3.12 and ROS 2 Jazzy as wheels (600 MB).
@@ -89,6 +90,9 @@ lint: $(VENV)/.ready
 
 bench: $(VENV)/.ready
 	@$(VENV)/bin/python -m rpgd_ros.apps.bench $(ARGS)
+
+bench-live: $(VENV)/.ready
+	@$(VENV)/bin/python -m rpgd_ros.apps.bench_live $(ARGS)
 
 clean:
 	rm -rf .venv .venv-oldest build install log dist demo_output *.egg-info \

@@ -30,7 +30,10 @@ from rpgd_ros.ros.declare import is_given
 from rpgd_ros.ros.message_classes import message_class, not_installed, readable_types
 from rpgd_ros.ros.parameters import listed, shown
 
-DEPTH = 200  # messages: 0.8 s of a 240 Hz skeleton, longer than any callback of the node takes
+# Messages that wait while a callback runs, or while other programs have the processors. At 6000
+# per second on 15 topics, with 200 a stall of 0.24 s lost 115 of 17 280, with 1000 one of 0.58 s
+# lost none.
+DEPTH = 1000
 MAX_DRAINED = 50  # messages of one topic at a turn, so that the others get theirs
 MAX_PENDING_BYTES = 4 * 2**20  # handed on at once beyond it: 0.1 s of a flood stays small
 LOG_SECONDS = 5.0  # between two log lines of one kind
