@@ -70,9 +70,9 @@ def shifted(recording: SimulatedRecording, metres: float) -> SimulatedRecording:
 
 
 def play_to(node: Live, walk: Scene, end_s: float) -> None:
-    """Play the beginning of the walk, at eight times its speed."""
+    """Play the beginning of the walk, at four times its speed."""
     node.advertise(walk.topics)
-    node.send(messages(walk.recording, 0.0, end_s))
+    node.send(messages(walk.recording, 0.0, end_s), rate=4.0)
 
 
 def test_bumped_camera_is_named_within_ten_seconds(walk: Scene, rig: Path) -> None:
@@ -125,7 +125,7 @@ def test_automatic_run_may_not_jump_and_a_call_may(walk: Scene, rig: Path) -> No
         first = node.calibrate()[1]
         assert node.call('reset').success
         again = messages(shifted(walk.recording, 0.4), 0.0, CALIBRATED_S)
-        node.peer.play(again, rate=8.0)
+        node.peer.play(again, rate=4.0)
         switch = double(0.5)
         assert set_to(node, 'auto.period_s', switch) == ''
         on = integer(0)
@@ -149,11 +149,11 @@ def test_person_is_told_what_is_still_missing(walk: Scene, rig: Path) -> None:
     with live(rig, 'accept.max_sigma_deg:=0.001') as node:
         node.advertise(walk.topics)
         some = [m for m in messages(walk.recording, 0.0, 6.0) if not m[0].startswith('cam3')]
-        node.peer.play(some, rate=8.0)
+        node.peer.play(some, rate=4.0)
         node.wait_until('not told', lambda: 'cam3 has seen nobody yet' in node.sentence())
         node.wait_until('no time', lambda: bool(re.search(r'\d+ of 60 s', node.sentence())))
         rest = messages(walk.recording, 6.0, 12.0)
-        node.peer.play(rest, rate=8.0)
+        node.peer.play(rest, rate=4.0)
         assert node.calibrate()[1]['reason'] == 'uncertain'
         node.wait_until('no sigma', lambda: 'if stopped now' in node.sentence())
         sentence = node.sentence()
@@ -174,7 +174,7 @@ def test_observations_are_kept_beside_the_result(walk: Scene, rig: Path) -> None
         assert solve(read_snapshot(beside)).world_T_mocap.translation.tolist() == first['xyz']
         rest = messages(walk.recording, 8.0, 16.0)
         total = len(messages(walk.recording, 0.0, 16.0))
-        node.peer.play(rest, rate=8.0)
+        node.peer.play(rest, rate=4.0)
         node.wait_until('not counted', lambda: sum(node.received().values()) == total)
         second = node.calibrate()[1]
         assert solve(read_snapshot(beside)).world_T_mocap.translation.tolist() == second['xyz']

@@ -169,3 +169,33 @@ def test_camera_that_contradicts_the_pose_has_the_level_of_the_others() -> None:
     assert agreed(given, ['cam2'])['cam2'].error_px == pytest.approx(1.25 * 2.5)
     assert agreed(given, ['cam2'])['cam0'].error_px == 2.0
     assert agreed({'cam0': Level(9.0)}, ['cam0'])['cam0'].error_px == 9.0
+
+
+def test_level_of_a_file_gives_way_to_that_of_the_first_run() -> None:
+    """The file tells the mean error alone; the run, how it is spread and shifted."""
+    recording = walk(8, seconds=30.0, faults=Faults(bias_m=0.02))
+    reel, pose = Reel(recording), recording.truth.world_T_mocap
+    watch = Watch()
+    kept = {f'cam{v}': Level.kept(9.0) for v in range(4)}
+    watch.accept(pose, kept, is_automatic=False)
+    for _, pairs in reel.ticks(0.0, 12.0):
+        watch.add(pairs)
+    assert watch.raised == ()
+    measured = levels(reel.sights(0.0, 12.0), pose)
+    watch.accept(pose, measured, is_automatic=True)
+    for _, pairs in reel.ticks(12.0, 30.0):
+        watch.add(pairs)
+    assert watch.raised == ()
+    assert watch.states()['cam0'].level_px == measured['cam0'].error_px
+
+
+def test_kept_level_finds_a_bump_as_well() -> None:
+    """With more room: half a degree is 10 px here."""
+    recording = walk(9, seconds=16.0)
+    reel, pose = Reel(recording), recording.truth.world_T_mocap
+    reel.bump(3, 0.6 * TURN, at_s=0.0)
+    watch = Watch()
+    watch.accept(pose, {f'cam{v}': Level.kept(3.5) for v in range(4)}, is_automatic=False)
+    for _, pairs in reel.ticks(0.0, 10.0):
+        watch.add(pairs)
+    assert watch.raised == ('cam3',)

@@ -42,6 +42,7 @@ class Level:
         shift_spread_px: Robust standard deviation of that.
         bias_px: How far lasting offsets of single joints shift the whole body by chance, pixels.
             They turn with the body, and the shift with them.
+        is_kept: Whether it is of a result file, see `kept`.
 
     """
 
@@ -50,6 +51,7 @@ class Level:
     shift_px: Array = field(default_factory=lambda: np.zeros(2))
     shift_spread_px: float = 0.0
     bias_px: float = 0.0
+    is_kept: bool = False
 
     @classmethod
     def kept(cls, error_px: float) -> Level:
@@ -57,7 +59,11 @@ class Level:
 
         For all that is known it is all of offsets of joints that last.
         """
-        return cls(error_px, bias_px=KEPT_BIAS * error_px)
+        return cls(error_px, bias_px=KEPT_BIAS * error_px, is_kept=True)
+
+    def follows(self, anchor: Level) -> bool:
+        """Whether it is no worse than a level that somebody has accepted."""
+        return self.error_px <= CREEP * anchor.error_px
 
     @property
     def limit_px(self) -> float:
@@ -209,7 +215,7 @@ def capped(level: Level, anchor: Level) -> Level:
 
     A drift that automatic calibrations follow step by step would else be seen by nobody.
     """
-    if level.error_px <= CREEP * anchor.error_px:
+    if level.follows(anchor):
         return Level(
             level.error_px, max(level.spread_px, anchor.spread_px), anchor.shift_px,
             max(level.shift_spread_px, anchor.shift_spread_px), max(level.bias_px, anchor.bias_px),

@@ -120,7 +120,9 @@ class Watch:
             self._anchors = dict(levels)
             self._tracks.clear()
         for name, level in levels.items():
-            self._anchors.setdefault(name, level)
+            anchor = self._anchors.setdefault(name, level)
+            if anchor.is_kept and level.follows(anchor):
+                self._anchors[name] = level  # which tells more than a file does
         self._pose = pose
         self._levels = {name: capped(level, self._anchors[name]) for name, level in levels.items()}
 
