@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import struct
-from typing import Final
+from typing import Final, NoReturn
 
 import numpy as np
 
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.messages.cdr import (
+    ENCAPSULATION_BYTES,
     MAX_FRAME_ID,
     MAX_PADDING,
     NS_PER_S,
@@ -21,10 +22,27 @@ from rpgd_ros.messages.layout import Drop, DropError
 
 LONGEST_NAME: Final = MAX_FRAME_ID
 Place = tuple[float, float, float]
+_DOUBLES: Final = {
+    (mark, n): struct.Struct(f'{mark}{n}d').unpack_from for mark in '<>' for n in (1, 3, 7)
+}
 
 
 class Cursor(CdrReader):
-    """Reads a message from front to back."""
+    """Reads a message from front to back.
+
+    A message has hundreds of fields: the methods that most of them take do their own arithmetic.
+    """
+
+    def __init__(self, payload: bytes) -> None:
+        """Start after the encapsulation.
+
+        Raises:
+            CdrError: Too long, or not plain CDR.
+
+        """
+        super().__init__(payload)
+        self._size = len(payload)
+        self._read_u32 = self.order.u32.unpack_from
 
     def skip(self, size: int, count: int) -> None:
         """Step over `count` numbers of `size` bytes each.
@@ -33,11 +51,52 @@ class Cursor(CdrReader):
             CdrError: The message ends before.
 
         """
-        self._take(size, count)
+        if count:
+            position = self.position
+            self.position = position + (ENCAPSULATION_BYTES - position) % size + count * size
+            if self.position > self._size:
+                self._refuse(count * size)
+
+    def u32(self) -> int:
+        """Read one uint32.
+
+        Raises:
+            CdrError: The message ends before.
+
+        """
+        position = self.position + -self.position % 4
+        self.position = position + 4
+        if self.position > self._size:
+            self._refuse(4)
+        value: int = self._read_u32(self.payload, position)[0]
+        return value
+
+    def skip_sequence(self, size: int, per_element: int = 1) -> None:
+        """Step over a sequence whose elements have some numbers of `size` bytes each.
+
+        Raises:
+            CdrError: The message ends before.
+
+        """
+        n = self.u32()
+        if n:
+            self.skip(size, per_element * n)
+
+    def _refuse(self, n_bytes: int) -> NoReturn:
+        msg = f'{n_bytes} bytes up to {self.position} reach beyond the {self._size} bytes'
+        raise CdrError(msg)
 
     def doubles(self, count: int) -> tuple[float, ...]:
-        """Read a few float64; for many, `numbers` is faster."""
-        return struct.unpack_from(f'{self.order.mark}{count}d', *self._take(8, count))
+        """Read a few float64; for many, `numbers` is faster.
+
+        Raises:
+            CdrError: The message ends before.
+
+        """
+        self.skip(8, count)
+        read = _DOUBLES[self.order.mark, count]
+        values: tuple[float, ...] = read(self.payload, self.position - 8 * count)
+        return values
 
     def pose(self) -> tuple[Place, bool]:
         """Read a geometry_msgs/Pose: the place, and whether the body was not seen.
@@ -50,7 +109,8 @@ class Cursor(CdrReader):
 
     def i32(self) -> int:
         """Read one int32."""
-        return self.integers('i', 1)[0]
+        value = self.u32()
+        return value - 2**32 if value >= 2**31 else value
 
     def byte(self) -> int:
         """Read one byte."""
@@ -69,7 +129,7 @@ class Cursor(CdrReader):
 
     def skip_string(self) -> None:
         """Step over a string of any length."""
-        self.skip(1, self.u32())
+        self.skip_sequence(1)
 
     def count(self, least_bytes: int) -> int:
         """Read the length of a sequence whose elements have at least some bytes each.

@@ -58,22 +58,19 @@ def read_marker_array(cursor: Cursor, asked: Asked) -> People:
 
 def _skip_rest_of_marker(cursor: Cursor) -> None:
     """Step over what follows the pose of a marker."""
-    cursor.skip(8, 3)  # scale
-    cursor.skip(4, 4)  # colour
-    cursor.skip(4, 2)  # lifetime
-    cursor.skip(1, 1)  # frame_locked
-    cursor.skip(8, 3 * cursor.count(24))  # points
-    cursor.skip(4, 4 * cursor.count(16))  # colours
+    cursor.skip(1, 24 + 16 + 8 + 1)  # scale, colour, lifetime, frame_locked
+    cursor.skip_sequence(8, 3)  # points
+    cursor.skip_sequence(4, 4)  # colours
     cursor.skip_string()  # texture_resource
     cursor.skip(4, 2)  # texture: a CompressedImage
     cursor.skip_string()
     cursor.skip_string()
-    cursor.skip(1, cursor.count(1))
-    cursor.skip(4, 2 * cursor.count(8))  # uv_coordinates
+    cursor.skip_sequence(1)
+    cursor.skip_sequence(4, 2)  # uv_coordinates
     cursor.skip_string()  # text
     cursor.skip_string()  # mesh_resource
     cursor.skip_string()  # mesh_file
-    cursor.skip(1, cursor.count(1))
+    cursor.skip_sequence(1)
     cursor.skip(1, 1)  # mesh_use_embedded_materials
 
 
@@ -135,11 +132,10 @@ def read_detections(cursor: Cursor, asked: Asked) -> People:
         cursor.skip_string()  # class_name
         cursor.skip(8, 1)  # score
         cursor.skip_string()  # id
-        cursor.skip(8, 5)  # bbox
-        cursor.skip(8, 10)  # bbox3d
+        cursor.skip(8, 5 + 10)  # bbox, bbox3d
         cursor.skip_string()
         cursor.skip(4, 2)  # mask
-        cursor.skip(8, 2 * cursor.count(16))
+        cursor.skip_sequence(8, 2)
         person = _keypoints(cursor, asked)
         for _ in range(cursor.count(_KEYPOINT)):  # keypoints3d
             cursor.skip(4, 1)
