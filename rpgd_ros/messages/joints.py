@@ -139,11 +139,12 @@ def _decode_group(
 def _read(layout: Layout, runs: tuple[Run, ...], data: bytes, n_messages: int) -> Array:
     """Gather numbers of all messages, one plane (B, J) for each; (B, P, J) of several persons."""
     planes = []
-    is_crowd = layout.n_persons > 1
-    persons, row = ((layout.n_persons,), (layout.row,)) if is_crowd else ((), ())
     for dtype, offset, n in runs:
-        shape = (n, n_messages, *persons, layout.n_joints)
-        strides = (dtype.itemsize, layout.length, *row, layout.step)
+        shape: tuple[int, ...] = (n, n_messages, layout.n_joints)
+        strides: tuple[int, ...] = (dtype.itemsize, layout.length, layout.step)
+        if layout.n_persons > 1:
+            shape = (*shape[:2], layout.n_persons, layout.n_joints)
+            strides = (*strides[:2], layout.row, layout.step)
         raw = np.ndarray(shape, dtype, data, layout.start + offset, strides)
         planes.append(raw.astype(np.float64, order='C'))
     return planes[0] if len(planes) == 1 else np.concatenate(planes)
