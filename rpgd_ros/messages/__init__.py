@@ -7,6 +7,7 @@ The bytes are those of the wire and of bags (CDR): a live node takes them from r
 from rpgd_ros.messages.adapters import (
     HEADERLESS_TYPES,
     KEYPOINT_TYPES,
+    NO_HEADER,
     NORMALISED_TYPES,
     PARTIAL_TYPES,
     POSE_STAMPED,
@@ -37,6 +38,7 @@ __all__ = [
     'MAX_JOINTS',
     'MAX_MESSAGE_BYTES',
     'NORMALISED_TYPES',
+    'NO_HEADER',
     'PARTIAL_TYPES',
     'POINT_CLOUD2',
     'POSE_ARRAY',

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from rpgd_ros.core.camera_pose import is_mocap_world
 from rpgd_ros.core.result import Calibration
+from rpgd_ros.messages import NO_HEADER
 from rpgd_ros.pairing import PairCounts
 from rpgd_ros.ros.inputs import Health
 from rpgd_ros.ros.job import Outcome, figures
@@ -108,6 +109,8 @@ def _input_status(
         level, message = WARN, 'messages arrive, but none could be used'
     elif complaint:
         level, message = WARN, complaint
+    elif counts.get(NO_HEADER):
+        level, message = WARN, 'messages have no header: stamped with the time of their sending'
     return status(name if name == MOCAP else f'camera {name}', level, message, values)
 
 

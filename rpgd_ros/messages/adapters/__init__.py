@@ -6,7 +6,7 @@ raise anything but the two errors of a message that is dropped, and no count is 
 as many bytes were seen.
 """
 
-from rpgd_ros.messages.adapters.decode import decode, decode_people
+from rpgd_ros.messages.adapters.decode import NO_HEADER, decode, decode_people
 from rpgd_ros.messages.adapters.parts import PartBatch, decode_parts
 from rpgd_ros.messages.adapters.types import (
     HEADERLESS_TYPES,
@@ -21,6 +21,7 @@ __all__ = [
     'HEADERLESS_TYPES',
     'KEYPOINT_TYPES',
     'NORMALISED_TYPES',
+    'NO_HEADER',
     'PARTIAL_TYPES',
     'POSE_STAMPED',
     'SKELETON_TYPES',

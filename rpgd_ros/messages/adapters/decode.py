@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, Literal, NamedTuple
 
@@ -130,16 +131,20 @@ def decode(
             frame_id=frame_id,
             needs_stamp=needs_stamp,
         )
-    asked = Asked(tuple(joints), n_values)
     return _decode_crowds(
         msgtype,
         payloads,
-        asked,
+        _asked(tuple(joints), n_values),
         receive_ns,
         frame_id,
         zero_is_missing=zero_is_missing,
         needs_stamp=needs_stamp,
     )
+
+
+@lru_cache(maxsize=64)
+def _asked(names: tuple[str, ...], n_values: Literal[2, 3]) -> Asked:
+    return Asked(names, n_values)
 
 
 def _decode_crowds(
