@@ -37,11 +37,11 @@ def given() -> tuple[Problem, State]:
     n_joints = case.observations.n_joints
     random = np.random.default_rng(0)
     problem = Problem(sights, Timeline(track), body_frames(track.x_mocap)[0], centroid)
-    state = State(
-        case.truth.world_T_mocap,
-        np.array([0.005, 0.01, 0.02, 0.03]),
-        np.array([1e-3, 0.0, -2e-3, 0.0]),
-        random.normal(0.0, 0.01, (n_joints, 3)),
+    state = replace(
+        State.begin(case.truth.world_T_mocap, len(sights), n_joints),
+        offset_s=np.array([0.005, 0.01, 0.02, 0.03]),
+        rate=np.array([1e-3, 0.0, -2e-3, 0.0]),
+        joint_offset=random.normal(0.0, 0.01, (n_joints, 3)),
     )
     return problem, state
 
@@ -57,26 +57,19 @@ def moved(problem: Problem, state: State, name: str, by: float) -> Scene:
         offset_s=state.offset_s + by * (name == 'offset'),
         rate=state.rate + by * (name == 'rate'),
         joint_offset=joint,
+        focal=state.focal + by * (name == 'focal'),
+        scale=state.scale + by * (name == 'scale'),
     )
     scene = problem.scene(changed)
+    if not name.startswith('drift'):
+        return scene
     sights = []
     for sight, seconds in zip(scene.sights, scene.seconds, strict=True):
-        camera, x = sight.camera, sight.view.x_mocap
-        if name == 'focal':
-            camera = replace(camera, matrix=camera.matrix * focal_factor(by))
-        if name == 'scale':
-            x = problem.centroid_mocap + (1.0 + by) * (x - problem.centroid_mocap)
-        if name.startswith('drift'):
-            x = drifted(x, state.pose, problem.centroid_mocap, int(name[-1]), by * seconds)
-        sights.append(Sight(camera, replace(sight.view, x_mocap=x)))
+        x = drifted(
+            sight.view.x_mocap, state.pose, problem.centroid_mocap, int(name[-1]), by * seconds
+        )
+        sights.append(Sight(sight.camera, replace(sight.view, x_mocap=x)))
     return replace(scene, sights=sights)
-
-
-def focal_factor(by: float) -> Array:
-    """Multiply the focal lengths alone."""
-    factor = np.ones((3, 3))
-    factor[0, 0] = factor[1, 1] = 1.0 + by
-    return factor
 
 
 def drifted(x: Array, pose: RigidTransform, centre: Array, k: int, amount: Array) -> Array:
@@ -124,7 +117,7 @@ def test_the_information_times_its_curvature_is_the_second_derivative() -> None:
     centroid = np.nanmean(x, axis=(0, 1))
     problem = Problem(sights, None, None, centroid)
     n = len(sights)
-    state = State(case.truth.world_T_mocap, np.zeros(n), np.zeros(n), np.zeros((x.shape[1], 3)))
+    state = State.begin(case.truth.world_T_mocap, n, x.shape[1])
     loss = NoiseModel(sigma_px=4.0, nu=3.0, share=0.95, background=1e-7)
     unknowns = Unknowns((-1,) * n, (-1,) * n)
 
@@ -148,7 +141,7 @@ def test_fewer_directions_give_the_same_sums(given: tuple[Problem, State]) -> No
     """What is not asked for costs no time and changes nothing."""
     problem, state = given
     scene = problem.scene(state)
-    few, whole = (sum_moments(scene, state.pose, LOSS, n=n) for n in (N_ESTIMATED, N_ALL))  # type: Moments, Moments
+    few, whole = (sum_moments(scene, state.pose, LOSS, n=n) for n in (N_ESTIMATED, N_ALL))
     np.testing.assert_allclose(
         few.information, whole.information[..., :N_ESTIMATED, :N_ESTIMATED], rtol=1e-5
     )

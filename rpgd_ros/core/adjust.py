@@ -10,13 +10,13 @@ reprojection error hides both.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.moments import N_ESTIMATED, Scene, sum_moments
+from rpgd_ros.core.moments import N_ALL, N_ESTIMATED, Scene, sum_moments
 from rpgd_ros.core.normal import apply_delta
 from rpgd_ros.core.unknowns import System, Unknowns, assemble
 
@@ -35,6 +35,7 @@ LEAST_SHRINK = 1e-3
 JOINT_SIGMAS_M = np.geomspace(0.001, 0.08, 14)
 JOINT_GAIN = 5.0
 JOINT_SIGMA_M = 0.02  # to begin with
+FOCAL_PRIOR = 0.005  # a chessboard filmed in haste: standard deviation of a focal length
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +47,10 @@ class State:
         offset_s: (V,) seconds by which each video is stamped late in mid-recording.
         rate: (V,) how much later it gets per second.
         joint_offset: (J, 3) where the detector sees each joint, metres, the body's frame.
-        joint_sigma_m: Standard deviation of the prior of these, per axis; 0 = they are held.
+        focal: (V,) share by which each focal length is longer than given.
+        scale: Share by which the skeleton is larger than given, about the body's centroid.
+        joint_sigma_m: Standard deviation of the prior of the joints' offsets, per axis; 0 = they
+            are held.
 
     """
 
@@ -54,22 +58,35 @@ class State:
     offset_s: Array
     rate: Array
     joint_offset: Array
+    focal: Array
+    scale: float = 0.0
     joint_sigma_m: float = 0.0
+
+    @classmethod
+    def begin(cls, pose: RigidTransform, n_views: int, n_joints: int) -> Self:
+        """Take everything but the pose as it was given."""
+        zero = np.zeros(n_views)
+        return cls(pose, zero, zero, np.zeros((n_joints, 3)), zero)
 
     def moved(self, delta: Array, unknowns: Unknowns, pivot_world: Array) -> State:
         """Return the state after a step of the unknowns."""
-        offset, rate = (
-            here + np.array([step[n] if n >= 0 else 0.0 for n in numbers])
-            for here, step, numbers in (
-                (self.offset_s, delta[unknowns.offsets], unknowns.offset),
-                (self.rate, delta[unknowns.rates], unknowns.rate),
-            )
-        )
         joint_offset = self.joint_offset
         if unknowns.n_joints:
             joint_offset = joint_offset + delta[unknowns.joints].reshape(-1, 3)
-        pose = apply_delta(self.pose, delta[:6], pivot_world)
-        return replace(self, pose=pose, offset_s=offset, rate=rate, joint_offset=joint_offset)
+        return replace(
+            self,
+            pose=apply_delta(self.pose, delta[:6], pivot_world),
+            offset_s=self.offset_s + _by_camera(delta[unknowns.offsets], unknowns.offset),
+            rate=self.rate + _by_camera(delta[unknowns.rates], unknowns.rate),
+            joint_offset=joint_offset,
+            focal=self.focal + _by_camera(delta[unknowns.focals], unknowns.focal),
+            scale=self.scale + float(delta[unknowns.scale].sum()),
+        )
+
+
+def _by_camera(step: Array, numbers: Sequence[int]) -> Array:
+    """(V,) of the steps of some cameras; zero for the others. () for none."""
+    return np.array([step[n] if n >= 0 else 0.0 for n in numbers]) if numbers else np.zeros(1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,8 +128,12 @@ class Problem:
                 turns.append(turn)
                 if state.joint_offset.any():
                     x = x + np.einsum('fik,jk->fji', turn, state.joint_offset)
+            if state.scale:
+                x = self.centroid_mocap + (1.0 + state.scale) * (x - self.centroid_mocap)
+            factor = 1.0 + float(state.focal[v])
+            camera = sight.camera if factor == 1.0 else sight.camera.with_focal(factor)
             times.append(seconds)
-            sights.append(Sight(sight.camera, replace(sight.view, x_mocap=x)))
+            sights.append(Sight(camera, replace(sight.view, x_mocap=x)))
         return Scene(sights, velocities or None, turns or None, times, self.centroid_mocap)
 
     def _middle_s(self) -> float:
@@ -126,7 +147,8 @@ class Problem:
 def look(problem: Problem, state: State, unknowns: Unknowns, loss: Loss) -> System:
     """Sum the normal equations of the unknowns at a state."""
     scene = problem.scene(state)
-    moments = sum_moments(scene, state.pose, loss, n=N_ESTIMATED)
+    n = N_ALL if unknowns.focal or unknowns.with_scale else N_ESTIMATED
+    moments = sum_moments(scene, state.pose, loss, n=n)
     return assemble(moments, unknowns, scene.sights, state.pose @ problem.centroid_mocap)
 
 
@@ -170,18 +192,25 @@ def adjust(
 
 
 def prior(unknowns: Unknowns, state: State) -> tuple[Array, Array]:
-    """(p,) precision of the prior of each unknown, and its present value."""
+    """(p,) precision of the prior of each unknown, and its present value.
+
+    Focal lengths, where they are unknown, are so camera by camera.
+    """
     precision, value = np.zeros((2, len(unknowns)))
     if unknowns.n_joints:
         precision[unknowns.joints] = state.joint_sigma_m**-2
         value[unknowns.joints] = state.joint_offset.ravel()
+    if unknowns.focal:
+        precision[unknowns.focals] = FOCAL_PRIOR**-2
+        value[unknowns.focals] = state.focal
     return precision, value
 
 
 def _prior_cost(state: State) -> float:
-    if not state.joint_sigma_m:
-        return 0.0
-    return 0.5 * float((state.joint_offset**2).sum()) / state.joint_sigma_m**2
+    cost = 0.5 * float((state.focal**2).sum()) / FOCAL_PRIOR**2
+    if state.joint_sigma_m:
+        cost += 0.5 * float((state.joint_offset**2).sum()) / state.joint_sigma_m**2
+    return cost
 
 
 def joint_sigma(system: System, state: State) -> tuple[float, float]:

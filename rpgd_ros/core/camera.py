@@ -7,7 +7,7 @@ camera frame is the optical one: x right, y down, z forward.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -66,6 +66,12 @@ class Camera:
         length = 4 if self.model == 'equidistant' else 8
         padded = (*distortion.tolist(), *[0.0] * (length - distortion.size))
         object.__setattr__(self, 'lens', Lens(self.model, padded))
+
+    def with_focal(self, factor: float) -> Camera:
+        """Return the camera with its focal lengths multiplied."""
+        matrix = np.array(self.matrix)
+        matrix[[0, 1], [0, 1]] *= factor
+        return replace(self, matrix=matrix)
 
     @property
     def focal_px(self) -> float:

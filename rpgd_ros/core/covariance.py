@@ -38,7 +38,7 @@ def covariances(
         variance: Factor of the loss to a log likelihood (1 for a fitted `NoiseModel`).
         system: Where more than the pose was estimated, the sums by all unknowns and the (p,)
             precision of their priors: what is not known of them is then not known of the pose.
-        systematic: (6,) how far the pose may be off for a reason that was found but not mended.
+        systematic: (6, 6) of how far the pose may be off for reasons that were not mended.
 
     """
     inverse = invert(descent.normal.hessian, descent.normal.information)
@@ -61,7 +61,7 @@ def covariances(
         about_pivot = sums.covariance(precision)[:6, :6]
         by_time = sums.covariance_over_time(precision)[:6, :6]
     if systematic is not None:
-        about_pivot = about_pivot + np.outer(systematic, systematic)
+        about_pivot = about_pivot + systematic
     return moved(about_pivot), moved(by_time)
 
 

@@ -10,11 +10,15 @@ import numpy as np
 
 from rpgd_ros.core.adjust import look, prior
 from rpgd_ros.core.geometry import Array
+from rpgd_ros.core.questions import Questions, size_sentence
 from rpgd_ros.core.synchronise import sigmas
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from rpgd_ros.core.geometry import RigidTransform
+    from rpgd_ros.core.linearise import Sight
+    from rpgd_ros.core.noise import NoiseModel
     from rpgd_ros.core.settle import Details
     from rpgd_ros.core.unknowns import System
 
@@ -34,49 +38,61 @@ class JointOffset(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Findings:
-    """Clocks and joints as estimated; nothing where they were not asked for.
+    """Clocks, joints, lenses and sizes; nothing where they were not asked for.
 
     Attributes:
+        systematic: (6, 6) of how far the pose may be off for reasons that were not mended.
         system: Sums by all unknowns, and the precision of their priors.
         time_offset_s: {camera: (offset, sigma)}, seconds.
         clock_rate: {camera: (rate, sigma)} of the cameras whose clock runs wrong.
         joint_offset: (J, 3) metres; (J, 3) standard deviations.
+        focal_error: {camera: (error, sigma)}, shares of the focal length.
+        scale: Error of the skeleton's size and its sigma, shares.
         warnings: Sentences for people.
 
     """
 
+    systematic: Array
     system: tuple[System, Array] | None = None
     time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     clock_rate: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     joint_offset: tuple[Array, Array] | None = None
+    focal_error: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    scale: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
 
     @classmethod
+    def of_pose(
+        cls, sights: Sequence[Sight], pose: RigidTransform, centroid: Array, noise: NoiseModel
+    ) -> Self:
+        """Ask what can be asked where only the pose was estimated."""
+        focal = Questions.of_pose(sights, pose, centroid, noise).focal(is_common=True)
+        return cls(focal.pose_spread, warnings=tuple(focal.sentences(())))
+
+    @classmethod
     def of(cls, details: Details) -> Self:
-        """Collect what was settled."""
-        state, unknowns = details.at.state, details.at.unknowns
-        system = look(details.problem, state, unknowns, details.at.noise)
+        """Collect what was settled, and ask for the rest."""
+        problem, (state, unknowns, noise) = details.problem, details.at
+        system = look(problem, state, unknowns, noise)
         precision, _ = prior(unknowns, state)
         sigma = sigmas(system, precision)
-        names = [s.camera.name for s in details.problem.sights]
-        offsets, rates = sigma[unknowns.offsets], sigma[unknowns.rates]
+        names = [s.camera.name for s in problem.sights]
         joints = None
         if unknowns.n_joints:
             joints = (state.joint_offset, sigma[unknowns.joints].reshape(-1, 3))
+        questions = Questions.of_settled(problem, details.at)
+        focal, size = questions.focal(is_common=False), questions.size()
+        told = [*details.warnings, *focal.sentences(names)]
+        told += [s for s in [size and size_sentence(size)] if s]
         return cls(
+            focal.pose_spread,
             (system, precision),
-            {
-                n: (float(o), float(offsets[c]))
-                for n, o, c in zip(names, state.offset_s, unknowns.offset, strict=True)
-                if c >= 0
-            },
-            {
-                n: (float(r), float(rates[c]))
-                for n, r, c in zip(names, state.rate, unknowns.rate, strict=True)
-                if c >= 0
-            },
+            _known(names, state.offset_s, sigma[unknowns.offsets], unknowns.offset),
+            _known(names, state.rate, sigma[unknowns.rates], unknowns.rate),
             joints,
-            details.warnings,
+            _known(names, focal.error, focal.sigma, range(len(names))),
+            size,
+            tuple(told),
         )
 
     def joint_offset_m(self, names: Sequence[str]) -> dict[str, JointOffset]:
@@ -85,3 +101,11 @@ class Findings:
             return {}
         rows = zip(names, *(np.round(a, 9).tolist() for a in self.joint_offset), strict=True)
         return {name: JointOffset(tuple(offset), tuple(sigma)) for name, offset, sigma in rows}
+
+
+def _known(
+    names: Sequence[str], values: Array, sigma: Array, numbers: Sequence[int]
+) -> dict[str, tuple[float, float]]:
+    """Value and sigma by camera, of those that have one."""
+    rows = zip(names, values.tolist(), numbers, strict=True)
+    return {name: (value, float(sigma[n])) for name, value, n in rows if n >= 0}

@@ -98,15 +98,16 @@ def sum_moments(scene: Scene, pose: RigidTransform, loss: Loss, *, n: int = N_AL
             x = sight.view.x_mocap[frames].transpose(1, 0, 2).reshape(-1, 3)
             uv = sight.view.uv[frames].transpose(1, 0, 2).reshape(-1, 2)
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
-            plain = res
+            away = _away_from_centre(sight, uv, res) if n == N_ALL else None
             if joint_noise:
+                root = (1.0 + (joint_noise * slopes.iz) ** 2) ** -0.5
+                away = away and (away[0] * root, away[1] * root)
                 res, slopes = slopes.whitened(res, joint_noise)
             added, weight, bending = loss.evaluate(res)
             cost += added
             weights += float(weight.sum(dtype=np.float64))
             if bending is not None:
                 curves += 0.5 * float(bending @ res.squared)
-            away = _away_from_centre(sight, uv, plain) if n == N_ALL else None
             z = _directions(scene, v, frames, camera_T_mocap, slopes, x, away, n)
             _add(z, res, weight, block[frames], information[v], gradient[v])
         information[v] *= np.clip(1.0 - curves / max(weights, 1e-30), LEAST_CURVATURE, 1.0)

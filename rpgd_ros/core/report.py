@@ -11,14 +11,12 @@ import numpy as np
 from rpgd_ros.core.agreement import Disagreement, disagreements, lost_cameras
 from rpgd_ros.core.covariance import covariances
 from rpgd_ros.core.findings import Findings
-from rpgd_ros.core.focal import check_focal
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, noise_at
 from rpgd_ros.core.quality import fits
 from rpgd_ros.core.refine import Descent
 from rpgd_ros.core.result import Calibration
-from rpgd_ros.core.thin import budget, thin
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
     from rpgd_ros.core.examine import Tally
     from rpgd_ros.core.settle import Details
 
-FOCAL_POINTS = 8192  # that the focal lengths are checked on: 2 ms
 ROUNDING_PX2 = 1e-8  # squared rounding of a residual in single precision: no data are better
 
 
@@ -51,18 +48,19 @@ def report(
     if isinstance(loss, SquaredLoss) and n > 3:
         # Per axis: the squared loss is a log likelihood only when divided by the variance.
         variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
-    few = thin(sights, 0, budget(sights, FOCAL_POINTS))
-    noise = loss if isinstance(loss, NoiseModel) else noise_at(few, descent.pose)
-    focal = check_focal(few, descent.pose, centroid, noise)
-    findings = Findings.of(details) if details is not None else Findings()
-    warnings = [*findings.warnings, *([focal.sentence()] if focal.is_wrong else [])]
+    names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
+    if details is None:
+        noise = loss if isinstance(loss, NoiseModel) else noise_at(sights, descent.pose)
+        findings = Findings.of_pose(sights, descent.pose, centroid, noise)
+    else:
+        findings = Findings.of(details)
     covariance, over_time = covariances(
-        descent, centroid, variance=variance, system=findings.system, systematic=focal.pose_error
-    )
+        descent, centroid, variance=variance, system=findings.system,
+        systematic=findings.systematic,
+    )  # fmt: skip
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     contradicting = disagreements(sights, descent, centroid)
     by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
-    names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
     return Calibration(
         world_T_mocap=descent.pose,
         covariance=covariance,
@@ -82,8 +80,10 @@ def report(
         time_offset_s=findings.time_offset_s,
         clock_rate=findings.clock_rate,
         joint_offset_m=findings.joint_offset_m(names),
+        focal_error=findings.focal_error,
+        skeleton_scale=findings.scale,
         disagreements=tuple(contradicting),
-        warnings=(*warnings, *_camera_warnings(sights, counts, contradicting)),
+        warnings=(*findings.warnings, *_camera_warnings(sights, counts, contradicting)),
         seconds=seconds,
     )
 

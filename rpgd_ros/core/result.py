@@ -71,6 +71,9 @@ class Calibration:
         clock_rate: {camera: (rate, sigma)} where a clock runs wrong: by how much later it gets,
             seconds per second. The offset is then that in mid-recording.
         joint_offset_m: Where the detector sees each joint, where estimated.
+        focal_error: {camera: (error, sigma)} where asked for: share by which the focal length that
+            was given is too short.
+        skeleton_scale: (error, sigma) where asked for: share by which the skeleton is too small.
         disagreements: Cameras that contradict the others, the worst first.
         camera_poses: Extrinsics by camera, where they were found (`calibrate_cameras`).
         shown: By camera, how much of its video shows the persons with MoCap, where several
@@ -99,6 +102,8 @@ class Calibration:
     time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     clock_rate: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     joint_offset_m: Mapping[str, JointOffset] = field(default_factory=dict)
+    focal_error: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    skeleton_scale: tuple[float, float] | None = None
     disagreements: tuple[Disagreement, ...] = ()
     camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
     shown: Mapping[str, Shown] = field(default_factory=dict)

@@ -121,9 +121,7 @@ def settle(
 def _held(problem: Problem, start: Start, noise: NoiseModel) -> Settled:
     """Begin where nothing is asked of time."""
     n, n_joints = len(problem.sights), problem.sights[0].view.n_joints
-    state = State(
-        start.candidates[0].world_T_mocap, np.zeros(n), np.zeros(n), np.zeros((n_joints, 3))
-    )
+    state = State.begin(start.candidates[0].world_T_mocap, n, n_joints)
     return Settled(state, Unknowns((-1,) * n, (-1,) * n), noise)
 
 

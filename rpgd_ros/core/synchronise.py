@@ -74,9 +74,8 @@ def synchronise(
 
 def _begin(problem: Problem, offset_s: Array, unknowns: Unknowns, start: Start) -> Settled:
     pose, noise, _ = start.candidates[0]
-    n_joints = problem.sights[0].view.n_joints
-    state = State(pose, offset_s, np.zeros(len(offset_s)), np.zeros((n_joints, 3)))
-    return Settled(state, unknowns, noise)
+    state = State.begin(pose, len(offset_s), problem.sights[0].view.n_joints)
+    return Settled(replace(state, offset_s=offset_s), unknowns, noise)
 
 
 def settled(problem: Problem, at: Settled, check: Callable[[float], None]) -> Settled:
