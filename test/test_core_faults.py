@@ -205,6 +205,15 @@ def test_mirrored_axes_are_named(shape: str, axis: int) -> None:
 
 
 @pytest.mark.fault(28)
+def test_mirrored_walk_that_fits_two_of_four_cameras_is_refused() -> None:
+    """The two others were taken for somebody else, and a pose 114 deg off was accepted."""
+    case = scene('human36m', 120, 127)
+    x, uv = arrays(case)
+    x[..., 0] *= -1.0
+    assert refusal(lambda: solve(case, x, uv)).reason is Reason.MIRRORED_AXES
+
+
+@pytest.mark.fault(28)
 @pytest.mark.parametrize('shape', ['human36m', 'kinect'])
 @pytest.mark.parametrize('ratio', [0.2, 0.5])
 def test_labels_swapped_in_half_of_the_frames_do_not_matter(shape: str, ratio: float) -> None:

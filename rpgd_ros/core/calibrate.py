@@ -17,6 +17,7 @@ from rpgd_ros.core.config import (
     CalibrationConfig,
 )
 from rpgd_ros.core.diagnose import (
+    GOOD_RATIO,
     MAY_BE_MIRRORED,
     MIRRORED,
     is_mirrored,
@@ -193,6 +194,10 @@ def _pass_gates(solved: _Solved, run: _Run) -> None:
             # The better name: a sigma is that of one of the minima.
             refuse_ambiguous(rival_ratio, calibration)
         raise
+    # A mirrored walk may fit some cameras well enough to leave the others out as somebody else's.
+    is_doubtful = calibration.inlier_ratio < GOOD_RATIO and config.ransac.score == 'likelihood'
+    if is_doubtful and is_mirrored(sights, config.ransac, check=run.check('diagnosis')):
+        raise CalibrationError(Reason.MIRRORED_AXES, MIRRORED, calibration=calibration)
 
 
 def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight]:
