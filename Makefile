@@ -100,7 +100,7 @@ clean:
 	find rpgd_ros test -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/.ready: CANDIDATES := $(PYTHON)
-$(VENV)/.ready: REQUIRED := -e '.[ros,test,lint,colcon,datasets,cluster,import]'
+$(VENV)/.ready: REQUIRED := -e '.[ros,test,browser,lint,colcon,datasets,cluster,import,report]'
 $(VENV)/.ready: setup.py setup.cfg package.xml
 	$(make_venv)
 

@@ -37,6 +37,7 @@ EXIT_DONE, EXIT_INACCURATE, EXIT_BAD_INPUT, EXIT_STOPPED = 0, 1, 2, 130
 MAX_ERROR_DEG, MAX_ERROR_MM = 0.1, 5.0  # the walk of the default length gives 0.01 deg and 0.5 mm
 
 RECORDING, RESULT, LOG = 'recording', 'result.yaml', 'calibrator.log'
+REPORT = 'result.html'  # written where the libraries for it are installed
 COORDINATES = ('x', 'y', 'z', 'roll', 'pitch', 'yaw')
 START_SECONDS = 30.0  # of the node; 1 s on an idle machine
 END_SECONDS = 5.0  # of the node, which promises 2
@@ -49,6 +50,7 @@ calibrator over DDS, and compare the transform that it publishes with the truth.
 
   recording/      the bag, its rig file and the truth
   result.yaml     what the calibrator found
+  result.html     the same to look at: room, cameras, residuals
   calibrator.log  what it said; log/ holds what ROS writes beside it
 """
 EPILOG = """\
@@ -131,7 +133,9 @@ def _run(arguments: argparse.Namespace, console: Console, stop: StopFlag) -> int
     check()
     answer, published, lost = _calibrate_live(arguments.output, console, check, arguments.rate)
     code = _report(console, answer, published, _read_truth(folder / 'truth.yaml'), lost=lost)
-    console.print(f'result file: {arguments.output / RESULT}')
+    for name, path in (('result file', RESULT), ('look at it', REPORT)):
+        if (arguments.output / path).exists():
+            console.print(f'{name}: {arguments.output / path}')
     return code
 
 
@@ -159,6 +163,7 @@ def _calibrate_live(
                 msg = f'not calibrated: {called[1]["message"] if called else "no answer"}'
                 raise InputError(Reason.BAD_INPUT, msg)
             published = client.transform(seconds=COUNT_SECONDS)
+            client.save(seconds=CALL_SECONDS)
     if published is None:
         raise InputError(Reason.BAD_INPUT, 'the calibrator did not publish ~/transform')
     return called[1], published, lost

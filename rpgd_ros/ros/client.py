@@ -51,6 +51,11 @@ class CalibratorClient:
         answer = self._peer.call(f'{self._node}/calibrate', seconds=seconds)
         return None if answer is None else (bool(answer.success), json.loads(answer.message))
 
+    def save(self, *, seconds: float) -> bool:
+        """Ask to write the result again, with a report where plots are installed."""
+        response = self._peer.call(f'{self._node}/save', seconds=seconds)
+        return response is not None and bool(response.success)
+
     def transform(self, *, seconds: float) -> RigidTransform | None:
         """Return world_T_mocap as published, or None where nothing was in time."""
         topic = f'{self._node}/transform'
