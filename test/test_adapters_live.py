@@ -12,16 +12,21 @@ import drivers
 import numpy as np
 import pytest
 import reencoded
+from drivers import STAMP_NS
 from reencoded import with_mocap
 from ros_live import live
 
 from rpgd_ros.core.geometry import rotation_angle
-from rpgd_ros.io.rig import write_rig
+from rpgd_ros.io.rig import parse_rig, write_rig
 from rpgd_ros.messages import KEYPOINT_TYPES, POSE_STAMPED, SKELETON_TYPES
+from rpgd_ros.messages.adapters.types import OPENPOSE_LIST
+from rpgd_ros.ros import health
 from rpgd_ros.ros.domain import free_domain
-from rpgd_ros.ros.inputs import JointInput, health_by_stream
+from rpgd_ros.ros.inputs import Health, JointInput, health_by_stream
 from rpgd_ros.ros.message_classes import OWN, PACKAGES, message_class, readable_types
 from rpgd_ros.ros.player import Peer
+from rpgd_ros.session import Session
+from rpgd_ros.session.monitor import Monitor
 from rpgd_ros.simulation import build_scene, preset, simulate
 from rpgd_ros.simulation.export import messages_of, rig_of
 
@@ -69,11 +74,11 @@ def test_a_type_without_its_package_is_an_error_that_names_it(peer: Peer) -> Non
     joints = JointInput(
         peer.node, 'mocap', 'rigid_bodies', 'mocap4r2_msgs/msg/RigidBodies', ignore
     )
-    health = joints.health()
-    assert health.is_hopeless
+    said = joints.health()
+    assert said.is_hopeless
     assert not joints.is_subscribed
-    assert 'install the package mocap4r2_msgs (ros-jazzy-mocap4r2-msgs' in health.problem
-    assert 'a recording of the topic can be read without it' in health.problem
+    assert 'install the package mocap4r2_msgs (ros-jazzy-mocap4r2-msgs' in said.problem
+    assert 'a recording of the topic can be read without it' in said.problem
 
 
 def test_the_topics_of_one_skeleton_answer_together(peer: Peer) -> None:
@@ -88,6 +93,23 @@ def test_the_topics_of_one_skeleton_answer_together(peer: Peer) -> None:
     assert 'nobody publishes /vicon/bob/hip, and the like of 2 more of 3' in found['mocap'].problem
     assert not found['mocap'].is_hopeless
     assert np.isnan(found['mocap'].age_s)
+
+
+def test_messages_without_a_header_are_a_warning() -> None:
+    """Their stamps hold the detector's delay, which people should know."""
+    rig = parse_rig(
+        'schema: 1\nworld_frame: studio\nmocap: {joints: coco17}\ncameras:\n'
+        '  - {name: cam0, keypoints: body25, camera_info_topic: cam0/camera_info}'
+    )
+    session = Session(rig)
+    payload = drivers.without_header(drivers.serialise(drivers.openpose_list([np.ones((25, 3))])))
+    for i in range(10):
+        session.add('cam0', OPENPOSE_LIST, [payload], [STAMP_NS + i * 40_000_000])
+    assert session.counts('cam0')['kept'] == 10
+    fine = Health('', False, OPENPOSE_LIST, 'RELIABLE', 10, 25.0, 0.1)  # noqa: FBT003
+    (status,) = health.input_statuses(session, {'cam0': fine}, Monitor(session, max_age_s=300.0))
+    assert status.level == health.WARN
+    assert 'no header' in status.message
 
 
 def test_markers_are_subscribed_by_their_publishers_type(peer: Peer) -> None:
