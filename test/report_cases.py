@@ -82,15 +82,8 @@ def wrong_person(folder: Path) -> None:
     write_recording(studio(faults=Faults(Corruption(0.97, 'person'))), folder)
 
 
-def swapped(folder: Path) -> None:
-    """Left and right exchanged in every frame."""
-    faults = Faults(Corruption(1.0, 'swap'))
-    scene = build_scene(preset('human36m'), 0, seconds=SECONDS, faults=faults)
-    write_recording(film(scene), folder)
-
-
 BAD: Mapping[str, Callable[[Path], None]] = {
-    make.__name__: make for make in (still, bumped, one_wrong_person, wrong_person, swapped)
+    make.__name__: make for make in (still, bumped, one_wrong_person, wrong_person)
 }
 
 

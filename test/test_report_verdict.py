@@ -6,11 +6,17 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 import report_cases
+import scenes
+
+from rpgd_ros.core import CalibrationError, calibrate
+from rpgd_ros.report import Case, write_report
+from rpgd_ros.skeletons import CONVENTIONS
 
 pytest.importorskip('plotly')
 pytest.importorskip('jinja2')
@@ -108,10 +114,29 @@ def test_the_wrong_person_in_all_cameras_is_refused(said: Callable[[str], Said])
     assert set(page.places) >= {'time', 'camera-0', 'camera-1', 'camera-2', 'camera-3'}
 
 
-def test_swapped_labels_are_refused_and_the_joints_are_named(said: Callable[[str], Said]) -> None:
+def test_swapped_labels_are_refused_and_the_joints_are_named(tmp_path: Path) -> None:
     """The first pairs on top, all of them in the table of joints."""
-    page = said('swapped')
+    case = scenes.scene('human36m', 150, 2, outlier_ratio=1.0, kind='swap')
+    names = CONVENTIONS['h36m32']
+    observations = replace(case.observations, joint_names=names)
+    with pytest.raises(CalibrationError) as refused:
+        calibrate(case.cameras, observations)
+    write_report(
+        tmp_path / 'report.html',
+        Case(
+            name='walk',
+            world_frame='world',
+            mocap_frame='mocap',
+            stamp_ns=0,
+            cameras=tuple(case.cameras),
+            observations=observations,
+            calibration=refused.value.calibration,
+            refusal=refused.value,
+            moved_m=2.0,
+        ),
+    )
+    page = read(tmp_path / 'report.html')
     assert page.first == 'Refused: left and right are swapped'
     assert 'joints' in page.marked
     assert 'RightUpLeg lies where LeftUpLeg should be' in page.page
-    assert len(re.findall('<tr class="marked"><td>(?:Left|Right)', page.page)) > 10
+    assert len(re.findall('<tr class="marked"><td>(?:Left|Right)', page.page)) > 8
