@@ -252,3 +252,17 @@ def test_matching_is_the_best_of_all(n_rows: int, n_columns: int, seed: int) -> 
         used = found[found >= 0]
         assert len(set(used.tolist())) == len(used)
         assert sum(table[r, c] for r, c in enumerate(found) if c >= 0) == pytest.approx(best)
+
+
+def test_one_of_two_subjects_is_used_where_the_rate_is_estimated() -> None:
+    """Recordings one after the other in time do not have one rate; the offset stays right."""
+    made = film('studio', 3, subjects=2, seconds=12.0, faults=Faults(lag_s=0.03))
+    config = CalibrationConfig.thorough().with_stage('time', estimate_rate=True)
+    picked = pick_persons(made.cameras, made.crowd(), config=config)
+    assert len(picked.used) == 1
+    assert picked.chosen[0].shape[1] == 2
+    found = calibrate(made.cameras, picked.observations, config=config)
+    assert rms_mm(found, made) < 1.0
+    assert found.time_offset_s['cam0'][0] == pytest.approx(0.03, abs=0.002)
+    both = pick_persons(made.cameras, made.crowd())
+    assert both.used == (0, 1)

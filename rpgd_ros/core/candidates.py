@@ -95,6 +95,12 @@ class Crowd:
                 )
                 raise InputError(Reason.BAD_INPUT, msg)
 
+    def of(self, skeletons: tuple[int, ...]) -> Crowd:
+        """Return the crowd with some of its skeletons."""
+        views = tuple(replace(v, x_mocap=v.x_mocap[:, skeletons]) for v in self.views)
+        tracks = tuple(self.tracks[s] for s in skeletons) if self.tracks else ()
+        return replace(self, views=views, tracks=tracks)
+
     @classmethod
     def from_arrays(
         cls,

@@ -70,12 +70,16 @@ class Picked:
         observations: For `calibrate`, cameras as given.
         chosen: Per camera (F, S) the detection of each skeleton; -1 = none.
         shown: Per camera, how much of its video shows the subjects.
+        used: Skeletons of which the observations are. Where the rate of the clocks is estimated,
+            only the one that was picked most: recordings that stand one after the other do not
+            have one rate.
 
     """
 
     observations: Observations
     chosen: tuple[IntArray, ...]
     shown: tuple[Shown, ...]
+    used: tuple[int, ...] = (0,)
 
 
 def pick_persons(
@@ -113,7 +117,11 @@ def pick_persons(
             chosen[v] = picks
     shown = tuple(_shown(v, picks) for v, picks in zip(crowd.views, chosen, strict=True))
     _check_shown(shown, config.accept.min_inlier_ratio)
-    return Picked(assemble(crowd, chosen), tuple(chosen), shown)
+    counts = np.sum([(picks >= 0).sum(0) for picks in chosen], axis=0)
+    is_one = config.time.estimate_rate and bool(crowd.tracks)
+    used = (int(np.argmax(counts)),) if is_one else tuple(range(len(counts)))
+    part, of_these = crowd.of(used), [one[:, used] for one in chosen]
+    return Picked(assemble(part, of_these), tuple(chosen), shown, used)
 
 
 def _groups(cameras: Sequence[Camera], views: Sequence[CrowdView]) -> list[list[int]]:

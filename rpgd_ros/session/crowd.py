@@ -79,10 +79,11 @@ def single_out(
         picked: What was picked of that.
 
     """
-    shifts = shifts_ns(crowd)
+    shifts = shifts_ns(crowd.of(picked.used))
     singled = []
     cameras = zip(detections, crowd.views, picked.chosen, strict=True)
-    for (persons, late_s), view, chosen in cameras:
+    for (persons, late_s), view, picks in cameras:
+        chosen = picks[:, picked.used]
         skeleton, frame = np.nonzero(chosen.T >= 0)
         stamps = np.empty(0, np.int64) if view.stamp_ns is None else view.stamp_ns
         row = np.searchsorted(persons.stamp_ns, stamps + round(late_s * NS_PER_S))[frame]

@@ -131,7 +131,7 @@ class Snapshot:
         sent = [(k.persons or alone(k.samples), k.time_offset_s) for k in self.keypoints]
         singled = single_out(sent, self._crowd, picked)
         plain = tuple(replace(k, samples=s) for k, s in zip(plain, singled, strict=True))
-        skeletons = in_turn(self._crowd)
+        skeletons = in_turn(self._crowd.of(picked.used))
         known = self.__dict__['_alone'] = replace(
             self, keypoints=plain, skeletons=skeletons, persons=None
         )
