@@ -13,6 +13,7 @@ import pytest
 import reencoded
 from bags import Message, write_bag, write_humble_bag
 from reencoded import in_order, with_camera, with_mocap
+from rosbags.highlevel import AnyReader
 
 from rpgd_ros.apps import calibrate_bag
 from rpgd_ros.core.geometry import Array, RigidTransform, rotation_angle
@@ -200,3 +201,28 @@ def test_azure_kinects_markers(calibrate: Calibrate) -> None:
     ours = calibrate(rig, plain)
     theirs = calibrate(azure, in_order(mocap, keypoints_of(plain)))
     np.testing.assert_allclose(theirs.matrix, ours.matrix, atol=1e-3)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_bag_that_is_written_carries_the_definitions(tmp_path: Path, storage: str) -> None:
+    """Others can read it without the drivers' packages."""
+    messages = [
+        drivers.markers([drivers.marker('LASI', (1, 2, 3), index=4)]),
+        drivers.detections([drivers.detection({1: (5, 6, 0.5)}, n_border=2)]),
+        drivers.objects([drivers.zed_object(np.ones((18, 2)))]),
+    ]
+    path = write_bag(
+        tmp_path / 'bag',
+        [
+            Message(f'/t{i}', m.__msgtype__, i + 1, drivers.serialise(m))
+            for i, m in enumerate(messages)
+        ],
+        storage=storage,
+    )
+    with AnyReader([path]) as reader:
+        read: list[Any] = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()]
+    markers, detections, objects = read
+    assert markers.markers[0].marker_name == 'LASI'
+    assert markers.markers[0].translation.z == 3.0
+    assert detections.detections[0].keypoints.data[0].point.y == 6.0
+    assert objects.objects[0].skeleton_2d.keypoints[17].kp.tolist() == [1.0, 1.0]
