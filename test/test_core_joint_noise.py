@@ -62,6 +62,17 @@ def test_exact_joints_are_not_called_noisy() -> None:
     assert noise.joint_sigma_m == 0.0
 
 
+def test_gross_keypoints_make_no_exact_joint_noisy() -> None:
+    """A person who stays in place before one camera gives the two noises little to differ by."""
+    for seed in range(3):
+        case = scenes.scene(
+            'human36m', frames=900, seed=seed, outlier_ratio=0.3, motion='turn_in_place'
+        )
+        for sight in sights_of(case):
+            noise = noise_at([sight], case.truth.world_T_mocap, with_joints=True)
+            assert noise.joint_sigma_m == 0.0
+
+
 def test_a_noisy_skeleton_no_longer_biases_the_pose() -> None:
     """Least squares stays millimetres off however long the recording is."""
     plain: list[float] = []

@@ -205,7 +205,7 @@ def noise_at(
     for ratio in JOINT_NOISE_RATIOS / np.median(angle_px):
         widened = np.sqrt(1.0 + (ratio * angle_px) ** 2)
         noise = fit_noise(residual_px / widened, largest_px=LARGEST_NOISE * focal_px)
-        likelihood = _log_likelihood(noise, residual_px / widened, widened)
+        likelihood = _log_likelihood(noise, residual_px, widened)
         if likelihood > most:
             most, best = likelihood, replace(noise, joint_sigma_m=float(ratio * noise.sigma_px))
     return best
@@ -223,11 +223,17 @@ def _residuals_at(sights: Sequence[Sight], pose: RigidTransform) -> tuple[Array,
     return np.concatenate(residual), np.concatenate(angle)
 
 
-def _log_likelihood(noise: NoiseModel, residual: Array, widened: Array | float) -> float:
-    """Of the residuals before they were divided; the division stretches the density twice."""
-    return -len(residual) * noise.cost_per_point(residual) - 2.0 * float(
-        np.sum(np.log(np.broadcast_to(widened, residual.shape)))
-    )
+def _log_likelihood(noise: NoiseModel, residual_px: Array, widened: Array | float) -> float:
+    """Of residuals whose noise is widened.
+
+    Gross ones have the density that was fitted, not its flat top: only then is the likelihood at
+    its maximum by every parameter, and the rounding of the fit does not decide between models.
+    """
+    r2 = residual_px**2
+    broad2 = (1.0 - noise.share) / (2.0 * np.pi * noise.background)
+    fine = noise.share * _student(r2, noise.sigma_px**2 * np.square(widened), noise.nu)
+    gross = (1.0 - noise.share) * _student(r2, broad2 * np.median(np.square(widened)), 1.0)
+    return float(np.log(fine + gross).sum())
 
 
 def _histogram(residual_px: Array) -> tuple[Array, Array]:
@@ -241,7 +247,7 @@ def _histogram(residual_px: Array) -> tuple[Array, Array]:
     return r2, counts[used]
 
 
-def _student(r2: Array, sigma2: Array, nu: Array | float) -> Array:
+def _student(r2: Array, sigma2: Array | float, nu: Array | float) -> Array:
     """Density of a bivariate Student-t at the squared radius, 1 / px^2."""
     decay = np.log1p(r2 / (nu * sigma2))
     density: Array = np.exp(-0.5 * (nu + 2.0) * decay) / (2.0 * np.pi * sigma2)
