@@ -34,7 +34,8 @@ walks through the room, as the live calibrator does. ROS need not be installed.
 """
 EPILOG = """\
 The bag needs the topics that the rig file names: the skeletons and the keypoints of each camera,
-as sensor_msgs/PointCloud2 or geometry_msgs/PoseArray.
+as sensor_msgs/PointCloud2, geometry_msgs/PoseArray, or as drivers and detectors send them: see
+docs/inputs.md.
 
 examples:
   calibrate_bag walk/ --rig rig.yaml                       # mcap or sqlite3, Humble to Jazzy
