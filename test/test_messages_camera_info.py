@@ -122,6 +122,30 @@ def test_binning_and_region_of_interest_move_the_pixels() -> None:
     np.testing.assert_allclose(delivered, (uv - [100.0, 50.0]) / [2.0, 4.0])
 
 
+@pytest.mark.parametrize('do_rectify', [False, True])
+def test_rectified_images_are_cropped_and_binned_as_well(*, do_rectify: bool) -> None:
+    """P moves like K, whether or not the driver wants a region of its own for them."""
+    changes = {'r': R, 'roi': (100, 50, 800, 1000), 'binning_x': 2, 'binning_y': 4}
+    info = decode_camera_info(payload(**changes, do_rectify=do_rectify))
+    whole = decode_camera_info(payload(r=R))
+    x_camera = np.array([[0.1, 0.2, 2.0]])
+    uv = whole.camera('a', None, is_rectified=True).project(x_camera)
+    delivered = info.camera('a', None, is_rectified=True).project(x_camera)
+    np.testing.assert_allclose(delivered, (uv - [100.0, 50.0]) / [2.0, 4.0])
+
+
+def test_a_rectified_fisheye_is_a_pinhole() -> None:
+    """As OpenCV's fisheye undistorts: R and P are what its `undistortPoints` is given."""
+    d = [0.1, 0.01, 0.001, 0.0]
+    info = decode_camera_info(payload(distortion_model='equidistant', d=d, r=R))
+    x_camera = np.random.default_rng(2).uniform([-1, -1, 2], [1, 1, 3], (20, 3))
+    raw = info.camera('cam0', None).project(x_camera)
+    expected = cv2.fisheye.undistortPoints(raw[:, None], K, np.array(d), None, R, P[:, :3])
+    rectified = info.camera('cam0', None, is_rectified=True)
+    assert rectified.model == 'pinhole'
+    np.testing.assert_allclose(rectified.project(x_camera), expected[:, 0], atol=0.01)
+
+
 @pytest.mark.parametrize(
     ('changes', 'reason', 'message'),
     [
