@@ -10,8 +10,8 @@ from rpgd_ros.apps.import_inputs import Inputs
 from rpgd_ros.importing import CameraPlan, Plan
 
 NO_POSES = (
-    'the calibration gives no poses for several cameras: without camera_T_world in the rig file '
-    'they cannot be calibrated against together'
+    'the calibration gives no poses for several cameras: calibrate_bag places each of them, in '
+    'the world of those that have one, else in the MoCap frame'
 )
 
 
