@@ -106,6 +106,20 @@ def test_table_has_the_published_figures_beside_ours(
     assert 'no lower bound' in out
 
 
+def test_json_holds_the_rows_of_the_csv(
+    copied: list[str], done: Done, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And is all that is printed."""
+    capsys.readouterr()
+    assert evaluate.main([*copied, '--json']) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert (tree['schema'], len(tree['rows'])) == (1, len(done.rows))
+    for told, row in zip(tree['rows'], done.rows, strict=True):
+        assert list(told) == list(row)
+        assert told['sequence'] == row['sequence']
+        assert told['default_px'] == pytest.approx(float(row['default_px']))
+
+
 def test_finished_sequences_are_not_done_again(
     copied: list[str], done: Done, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

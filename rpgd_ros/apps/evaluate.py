@@ -14,12 +14,13 @@ from threading import Event
 from typing import get_args
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, Progress
 
 from rpgd_ros.apps.evaluate_cluster import each_on_cluster
 from rpgd_ros.apps.evaluate_pool import each_somewhere
 from rpgd_ros.apps.evaluate_sequence import METHODS, Row, Task, empty_row, evaluate, finished
-from rpgd_ros.apps.evaluate_tables import csv_text, print_results, solved
+from rpgd_ros.apps.evaluate_tables import csv_text, json_text, print_results, solved
+from rpgd_ros.apps.progress import bar_columns
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.datasets import Dataset, DatasetName, open_dataset
@@ -101,6 +102,8 @@ def _parser() -> argparse.ArgumentParser:
     text = 'only these sequences; * and ? stand for any characters'
     add('--sequences', nargs='+', default=[], metavar='NAME', help=text)
     add('--csv', type=Path, metavar='FILE', help='write one line per sequence')
+    text = 'print the rows of the CSV as JSON instead of tables, for programs'
+    add('--json', action='store_true', help=text)
     text = (
         "write each accepted sequence's joints in the camera frames (.npz) and reprojected "
         'labels (COCO .json)'
@@ -141,7 +144,10 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
         for name in names
     ]
     rows = _evaluate_all(tasks, dataset, arguments.jobs, arguments.scheduler, err, stop)
-    print_results(out, arguments.dataset, rows, tasks[0].methods)
+    if arguments.json:
+        print(json_text(arguments.dataset, rows))
+    else:
+        print_results(out, arguments.dataset, rows, tasks[0].methods)
     if arguments.csv:
         write_atomic(arguments.csv, csv_text(rows))
     return _conclude(rows, err)
@@ -194,11 +200,11 @@ def _evaluate_all(
         row = finished(task, dataset)
         if row is not None:
             rows[task.name] = row
-    columns = (
-        TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    )  # fmt: skip
+    columns = (*bar_columns(), MofNCompleteColumn())
     with Progress(*columns, console=err, transient=True) as progress:
-        bar = progress.add_task('sequences', total=len(tasks), completed=len(rows))
+        bar = progress.add_task(
+            'sequences', total=len(tasks), completed=len(rows), things=(1.0, 'sequences')
+        )
         left = [task for task in tasks if task.name not in rows]
         with closing(_done_by(left, jobs, scheduler)) as results:
             for task, row in results:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +17,7 @@ from rpgd_ros.apps.evaluate_sequence import COLUMNS, METHODS, Row
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.datasets import DatasetName
 
+JSON_SCHEMA = 1
 MAX_ROWS = 40  # more sequences are left to the CSV file
 LABELS = {'ransac': 'RANSAC-P3P', 'rpgd': 'RPGD', 'default': 'default'}
 CAPTION = """\
@@ -35,6 +37,19 @@ def csv_text(rows: Sequence[Row]) -> str:
     for row in rows:
         writer.writerow({key: '' if _is_nan(value) else value for key, value in row.items()})
     return text.getvalue()
+
+
+def json_text(dataset: str, rows: Sequence[Row]) -> str:
+    """Return the rows as JSON: `schema`, `dataset`, and `rows` with the columns of the CSV.
+
+    Numbers that are not there are null.
+    """
+    table = [
+        {key: None if _is_nan(row[key]) else row[key] for key in COLUMNS if key in row}
+        for row in rows
+    ]
+    tree = {'schema': JSON_SCHEMA, 'dataset': dataset, 'rows': table}
+    return json.dumps(tree, indent=2, default=float)
 
 
 def _is_nan(value: object) -> bool:

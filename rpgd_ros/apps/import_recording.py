@@ -12,11 +12,12 @@ from threading import Event
 from typing import get_args
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress, TaskID
 
 from rpgd_ros.apps.import_inputs import Inputs, parse_inputs
 from rpgd_ros.apps.import_tables import print_plan
 from rpgd_ros.apps.output_folder import check_output, finish, put_in_place, scratch_folder
+from rpgd_ros.apps.progress import bar_columns
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.core.errors import InputError
 from rpgd_ros.importing import (
@@ -188,9 +189,8 @@ def _read(inputs: Inputs, progress: Callable[[str, float], None]) -> Plan:
 @contextmanager
 def _bars(console: Console, stop: Event) -> Iterator[Callable[[str, float], None]]:
     """Show one bar per stage, from its first report on; end the run after a signal."""
-    columns = (TextColumn('{task.description:>12}'), BarColumn(), TimeRemainingColumn())
     tasks: dict[str, TaskID] = {}
-    with Progress(*columns, console=console, transient=True) as bars:
+    with Progress(*bar_columns(), console=console, transient=True) as bars:
 
         def tell(stage: str, share: float) -> None:
             if stop.is_set():

@@ -30,11 +30,21 @@ class RateColumn(ProgressColumn):
         """Return the rate, nothing before there is one."""
         if task.speed is None:
             return Text('')
-        things = task.fields.get('things')
-        if things is None:
-            return Text(f'{100.0 * task.speed:.3g} %/s', style='progress.data.speed')
-        count, unit = things
-        return Text(f'{count * task.speed:,.0f} {unit}/s', style='progress.data.speed')
+        count, unit = task.fields.get('things') or (100.0, '%')
+        rate = count * task.speed
+        text = f'{rate:,.3g} {unit}/s' if rate >= 1.0 else f'{60.0 * rate:.3g} {unit}/min'
+        return Text(text, style='progress.data.speed')
+
+
+def bar_columns() -> tuple[ProgressColumn, ...]:
+    """Return what every bar of the programs shows: stage, share, rate and time left."""
+    return (
+        TextColumn('{task.description:>12}'),
+        BarColumn(),
+        TextColumn('{task.percentage:>3.0f} %'),
+        RateColumn(),
+        TimeRemainingColumn(),
+    )
 
 
 @contextmanager
@@ -52,14 +62,7 @@ def one_bar(
         What is told a stage and the share of it that is done.
 
     """
-    columns = (
-        TextColumn('{task.description:>12}'),
-        BarColumn(),
-        TextColumn('{task.percentage:>3.0f} %'),
-        RateColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Progress(*bar_columns(), console=console, transient=True) as progress:
         task = progress.add_task('', total=1.0)
         current = ''
 

@@ -14,9 +14,10 @@ from types import FrameType
 from typing import get_args
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress, TaskID
 
 from rpgd_ros.apps.output_folder import check_output, finish, put_in_place, scratch_folder
+from rpgd_ros.apps.progress import bar_columns
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.simulation import PRESETS, Corruption, Faults, build_scene, preset, simulate
 from rpgd_ros.simulation.dataset_scenes import TwinPlan
@@ -210,8 +211,7 @@ def _film_dataset(
 @contextmanager
 def _bars(console: Console, stop: Event) -> Iterator[Progression]:
     """Show one bar per stage, and end the run at the next step after a signal."""
-    columns = (TextColumn('{task.description:>8}'), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
+    with Progress(*bar_columns(), console=console) as progress:
         tasks: dict[str, TaskID] = {s: progress.add_task(s, total=1.0) for s in STAGES}
 
         def tell(stage: str, fraction: float) -> None:

@@ -59,7 +59,7 @@ def _space(measured: Measured) -> Figure:
     up = measured.up
     # From the side and a little above, whichever axis is the vertical.
     ahead = np.roll(np.abs(up), 1)
-    eye = 1.35 * ahead + 1.2 * np.roll(np.abs(up), 2) + 0.95 * up
+    eye = 1.6 * ahead + 1.35 * np.roll(np.abs(up), 2) + 1.0 * up
     return Figure(
         'room-3d',
         'Drag to turn, wheel or pinch to zoom. The way is coloured from the first second (dark) '
