@@ -188,10 +188,10 @@ def sentence(
     """
     published = '' if math.isnan(age_s) else f' The transform of {age_s:.0f} s ago is published.'
     problems = [health.problem for health in inputs if health.problem]
+    if complaint:  # stays while automatic runs come and go
+        return f'Attention: {complaint}.{published}'
     if running:
         return f'Calibrating: {running}.'
-    if complaint:
-        return f'Attention: {complaint}.{published}'
     if last is not None and last.is_accepted and accepted is not None:
         return f'Calibrated {age_s:.0f} s ago: {in_short(accepted)}.'
     if problems:
