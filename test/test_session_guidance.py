@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from studio import feed, make_studio, without_poses
 from walks import Reel, play, walk
 
 from rpgd_ros.core import CalibrationConfig, CalibrationError, RigidTransform, calibrate
@@ -245,3 +246,25 @@ def test_watch_looks_at_the_person_with_mocap_among_others() -> None:
     assert monitor.watch.complaint() == ''
     for state in monitor.watch.states().values():
         assert state.error_px < 1.3 * state.level_px
+
+
+def test_walk_is_guided_before_anybody_knows_where_the_cameras_stand() -> None:
+    """Images fill without extrinsics; a run that places the cameras begins their watch."""
+    studio = make_studio(4)
+    session = Session(without_poses(studio.rig))
+    monitor = Monitor(session, max_age_s=300.0)
+    half = len(studio.messages) // 2
+    feed(session, studio.messages[:half], together=200)
+    monitor.look()
+    guidance = monitor.guidance(AcceptConfig(), 1.0)
+    assert guidance.seconds == pytest.approx(6.0, abs=1.1)
+    assert all(image.share > 0.0 for image in guidance.images)
+    assert monitor.recent.cameras() == []
+    snapshot = session.snapshot()
+    found = appraise(snapshot, solve(snapshot))
+    monitor.conclude(found, is_accepted=True, is_automatic=True)
+    feed(session, studio.messages[half:], together=200)
+    monitor.look()
+    assert len(monitor.recent.cameras()) == 4
+    assert set(monitor.watch.states()) == {'cam0', 'cam1', 'cam2', 'cam3'}
+    assert monitor.watch.complaint() == ''

@@ -69,7 +69,7 @@ class Way:
         for new in pairs:
             x, uv = new.view.x_mocap[-1], new.view.uv[-1]
             there = new.view.seen()[-1]
-            if world_T_mocap is None:
+            if world_T_mocap is None or not new.is_placed:
                 continue
             apart = np.linalg.norm(new.camera.project(world_T_mocap @ x) - uv, axis=-1)
             seen += there

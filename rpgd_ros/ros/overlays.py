@@ -157,7 +157,8 @@ class Overlays:
         for new in pairs:
             publisher = self._reprojections[new.camera.name]
             stamp_ns = new.view.stamp_ns
-            if stamp_ns is not None and publisher.get_subscription_count():
+            is_wanted = new.is_placed and publisher.get_subscription_count()
+            if stamp_ns is not None and is_wanted:
                 uv = new.camera.project(pose @ new.view.x_mocap[-1])
                 stamp = int(stamp_ns[-1]) + new.offset_ns
                 publisher.publish(encode_point_cloud2(stamp, new.frame_id, uv))

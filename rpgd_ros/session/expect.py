@@ -90,7 +90,7 @@ class Expectation:
 
         It counts once a camera has some seconds of it, one camera at a call.
         """
-        for new in pairs:
+        for new in (new for new in pairs if new.is_placed):
             self._waiting.setdefault(new.camera.name, []).append(Sight(new.camera, new.view))
         spans = {name: _span_s(waiting) for name, waiting in self._waiting.items()}
         name = max(spans, key=lambda name: spans[name], default='')

@@ -24,7 +24,7 @@ class Pairs:
     """What one camera saw since the last time.
 
     Attributes:
-        camera: With its pose; the only camera of a rig may be the world itself.
+        camera: With its pose, where that is known; the only camera of a rig may be the world.
         frame_id: Frame of its messages.
         view: Its new frames with their skeletons, stamped on the MoCap's clock.
         offset_ns: How late its own stamps are.
@@ -35,6 +35,11 @@ class Pairs:
     frame_id: str
     view: View
     offset_ns: int = 0
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the pose of the camera is known: no residual means anything without."""
+        return self.camera.camera_T_world is not None
 
 
 @dataclass(slots=True, eq=False)
@@ -91,7 +96,7 @@ class Recent:
             _placed(source, self.poses.get(name), is_only=len(sources) == 1)
             for name, source in sources.items()
         )
-        return [camera for camera in placed if camera is not None]
+        return [c for c in placed if c is not None and c.camera_T_world is not None]
 
     def joint_names(self) -> tuple[str, ...]:
         """Return the names of the joints of all that is handed out: those that a camera sees."""
@@ -127,18 +132,18 @@ class Recent:
         view = views[0]
         if not view.n_frames:
             return None
-        if len(views) > 1 and self.pose is not None:
+        if len(views) > 1 and self.pose is not None and camera.camera_T_world is not None:
             view = _nearest(views, camera, self.pose)
         return Pairs(camera, source.frame_id or name, view, offset_ns)
 
 
 def _placed(source: CameraInput, found: RigidTransform | None, *, is_only: bool) -> Camera | None:
-    """Return a camera with its pose, None where something of it is not known yet."""
+    """Return a camera, with its pose if that is known; None without intrinsics."""
     camera = source.camera
     if camera is None:
         return None
     pose = camera.camera_T_world or found or (RigidTransform.identity() if is_only else None)
-    return None if pose is None else replace(camera, camera_T_world=pose)
+    return replace(camera, camera_T_world=pose)
 
 
 def _detections(source: CameraInput, rows: slice) -> list[Samples]:

@@ -131,6 +131,8 @@ class Watch:
         if self._pose is None:
             return
         for new in pairs:
+            if not new.is_placed:
+                continue
             frames = per_frame(new.camera, new.view, self._pose)
             if not len(frames[0]):
                 continue
