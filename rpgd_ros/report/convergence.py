@@ -15,7 +15,7 @@ from rpgd_ros.core.observations import NS_PER_S, View
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.report.case import Step
 
-PARTS = (0.1, 0.2, 0.35, 0.5, 0.75)  # of the recording; the whole is known already
+PARTS = (0.1, 0.25, 0.5, 0.75)  # of the recording; the whole is known already
 
 
 def settle(

@@ -126,6 +126,15 @@ class Measured:
         return frozenset(d.camera for d in c.disagreements) if c else frozenset()
 
     @cached_property
+    def used(self) -> tuple[Look, ...]:
+        """Of the cameras that the transform was found from; all, where it was from none."""
+        c = self.case.calibration
+        if c is None or c.config.rig.on_bumped_camera != 'exclude':
+            return self.looks
+        excluded = {d.camera for d in c.disagreements if d.rival is None}
+        return tuple(k for k in self.looks if k.camera.name not in excluded) or self.looks
+
+    @cached_property
     def start_s(self) -> float:
         """Time of the first instant of any camera."""
         return min((float(look.seconds[0]) for look in self.looks if len(look.frames)), default=0)

@@ -77,7 +77,7 @@ def joints(measured: Measured) -> Section | None:
     swapped = {name for pair in swapped_names(measured) for name in pair}
     for j, (name, fit) in enumerate(c.per_joint.items()):
         near = _pooled(measured, j)
-        every = np.concatenate([look.error_px[:, j] for look in measured.looks])
+        every = np.concatenate([look.error_px[:, j] for look in measured.used])
         every = every[np.isfinite(every)]
         bands.append(np.quantile(every, TWO_THIRDS) if len(every) else np.full(3, np.nan))
         if name in swapped:
@@ -107,7 +107,7 @@ def joints(measured: Measured) -> Section | None:
 def _pooled(measured: Measured, joint: int) -> Array:
     """Residuals (n, 2) of one joint's inliers in all cameras."""
     return np.concatenate(
-        [look.residual[:, joint][look.is_near[:, joint]] for look in measured.looks]
+        [look.residual[:, joint][look.is_near[:, joint]] for look in measured.used]
     )
 
 
