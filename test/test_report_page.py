@@ -16,7 +16,7 @@ import pytest
 import scenes
 import yaml
 
-from rpgd_ros.core import CalibrationError, InputError, Reason, RigidTransform, calibrate
+from rpgd_ros.core import CalibrationError, InputError, Reason, RigidTransform, View, calibrate
 from rpgd_ros.report import Case, Photo, StreamCount, check_libraries, settle, write_report
 from rpgd_ros.report.blocks import label, number, rounded
 from rpgd_ros.report.forms import forms
@@ -116,6 +116,30 @@ def test_a_refusal_without_a_pose_still_shows_walk_and_keypoints(tmp_path: Path)
     assert 'Seen in the frame mocap cam' in page
     assert 'id="camera-0-coverage"' in page
     assert 'id="camera-0-residuals"' not in page
+
+
+@needs_libraries
+def test_cameras_that_saw_nothing_or_look_away_have_a_place_too(tmp_path: Path) -> None:
+    """One without a single frame, one whose pose puts the person behind it."""
+    case = case_of()
+    assert case.observations is not None
+    views = list(case.observations.views)
+    first = views[0]
+    views[0] = View(np.zeros(0, np.int64), first.x_mocap[:0], first.uv[:0])
+    cameras = list(case.cameras)
+    pose = cameras[1].camera_T_world
+    assert pose is not None
+    about = RigidTransform(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))
+    cameras[1] = replace(cameras[1], camera_T_world=about @ pose)
+    observations = replace(case.observations, views=tuple(views))
+    write_report(
+        tmp_path / 'r.html', replace(case, observations=observations, cameras=tuple(cameras))
+    )
+    page = (tmp_path / 'r.html').read_text()
+    assert 'It saw no joint of the skeleton at any instant.' in page
+    assert 'id="camera-1-coverage"' in page
+    assert 'id="camera-1-residuals"' not in page
+    assert 'id="camera-2-residuals"' in page
 
 
 def test_without_the_libraries_the_pip_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,7 +82,7 @@ def _blocks(measured: Measured, look: Look) -> Iterator[Block]:
         for d in (c.disagreements if c else ())
         if look.camera.name in {d.camera, d.rival}
     ]
-    if look.camera.name in measured.lost:
+    if look.camera.name in set(measured.lost) - measured.moved:
         share = percent(measured.lost[look.camera.name])
         said.append(Link(f'Most of its keypoints are elsewhere in {share} of its frames.'))
     if said:
@@ -92,7 +92,7 @@ def _blocks(measured: Measured, look: Look) -> Iterator[Block]:
         return
     photos = measured.case.photos.get(look.camera.name, ())
     yield Side(tuple(instants(measured, look, key, photos)))
-    if c is None:
+    if not np.isfinite(look.error_px).any():
         yield _coverage(look, key)
         return
     yield Side((_residual_map(look, key), _coverage(look, key)))
