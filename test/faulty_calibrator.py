@@ -17,7 +17,7 @@ from unittest import mock
 from rpgd_ros.apps import calibrator
 from rpgd_ros.session import Session
 
-SAVE_SECONDS = 0.4  # that each file takes to reach the disk
+SAVE_SECONDS = 0.2  # that each file takes to reach the disk; a save writes four
 EVERY = 10  # batches, of which the session refuses one
 
 

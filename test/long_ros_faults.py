@@ -33,7 +33,6 @@ from rpgd_ros.simulation.export import MOCAP_TOPIC
 pytestmark = pytest.mark.long
 
 S = 1_000_000_000
-MIB = 2**20
 SOAK_SECONDS = float(os.environ.get('RPGD_ROS_SOAK_SECONDS', '1800'))
 FUZZ_SECONDS = float(os.environ.get('RPGD_ROS_FUZZ_SECONDS', '600'))
 MESSAGES_PER_S = 1080.0
@@ -66,6 +65,9 @@ def test_node_starts_and_stops_a_hundred_times(rig: Path, measured: Measured) ->
 @dataclass
 class Soak:
     """A walk that never ends, with faults thrown in.
+
+    None is larger than a message may be: Fast DDS keeps the memory of the largest that each of
+    the 200 places of a queue has held, so that giants make it grow until they have been in all.
 
     Attributes:
         walk: What is walked, again and again with later stamps.
@@ -106,7 +108,6 @@ class Soak:
             ('twice', good),
             ('zero stamp', restamped(good, 0)),
             ('future', restamped(good, stamp_ns + 3600 * S)),
-            ('oversized', good + bytes(self.rng.choice((300_000, MIB)))),
             ('noise', self.rng.randbytes(200)),
         ))  # fmt: skip
 

@@ -142,12 +142,14 @@ def test_leftovers_of_living_writers_stay(tmp_path: Path) -> None:
     """Only temporary files of this target, of processes that are gone, are removed."""
     alive = tmp_path / f'.a[1].yaml.{os.getpid()}.xyz.tmp'
     dead = tmp_path / '.a[1].yaml.99999999.xyz.tmp'
+    backup = tmp_path / '.a[1].20260131T120509.123.yaml.99999999.xyz.tmp'
     names = ('.b.yaml.99999999.x', '.a[1].yaml.note', f'.a[1].yaml.{10**20}.x', '.a[1].yaml.1.x')
     others = [tmp_path / f'{name}.tmp' for name in names]
-    for path in (alive, dead, *others):
+    for path in (alive, dead, backup, *others):
         path.touch()
     remove_leftovers(tmp_path / 'a[1].yaml')
     assert not dead.exists()
+    assert not backup.exists()
     assert all(path.exists() for path in (alive, *others))
 
 

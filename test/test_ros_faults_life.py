@@ -168,7 +168,7 @@ def test_exception_in_a_callback_is_counted_and_survived(
         node.play(walk)
         said = time.monotonic()
         n_raised = node.child.output.count('raised\n')
-        assert n_raised > 3
+        assert n_raised > 1
 
         def is_counted() -> bool:
             counted = node.peer.diagnostics('calibration').get('internal_errors', '0')

@@ -41,10 +41,14 @@ def write_atomic(path: Path | str, data: str | bytes, mode: int = 0o644) -> None
 
 
 def remove_leftovers(path: Path | str) -> None:
-    """Remove temporary files that killed writers of a target have left in its folder."""
+    """Remove temporary files that killed writers have left in the folder of a target.
+
+    Those of files with the same stem go as well: its backups, and what is kept beside it.
+    """
     path = Path(path)
-    for leftover in path.parent.glob(f'.{_escaped(path.name)}.*{SUFFIX}'):
-        pid = leftover.name.removeprefix(f'.{path.name}.').partition('.')[0]
+    for leftover in path.parent.glob(f'.{_escaped(path.stem)}.*{SUFFIX}'):
+        # .<name>.<process>.<random>.tmp
+        pid = leftover.name.removesuffix(SUFFIX).rpartition('.')[0].rpartition('.')[2]
         if pid.isdigit() and not _is_alive(int(pid)):
             with contextlib.suppress(OSError):
                 leftover.unlink()
