@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 from rpgd_ros.core.agreement import Disagreement
 from rpgd_ros.core.camera_pose import is_mocap_world
+from rpgd_ros.core.diagnose import MIN_SWAPPED_PAIRS
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.report.blocks import Link, number, percent
@@ -139,7 +140,10 @@ def said_of(disagreement: Disagreement) -> str:
 
 
 def _doubts(measured: Measured, c: Calibration) -> Iterator[str]:
-    """Yield what is wrong with cameras of an accepted calibration, as the rest of a line."""
+    """Yield what is wrong with an accepted calibration, as the rest of a line."""
+    n_swapped = len(swapped_names(measured))
+    if n_swapped >= MIN_SWAPPED_PAIRS:
+        yield f'left and right are swapped in {n_swapped} pairs of joints'
     for d in c.disagreements:
         if d.rival:
             yield f'{d.camera} and {d.rival} contradict each other: one of them was moved'
@@ -168,8 +172,8 @@ def _places(measured: Measured) -> Iterator[Link]:
     if reason in {Reason.DEGENERATE_MOTION, Reason.UNCERTAIN, Reason.DEGENERATE_GEOMETRY}:
         walked = number(case.moved_m, 2, 'm')
         yield Link(f'Where the person walked: within {walked}', 'room')
-    if reason is Reason.SWAPPED_LABELS:
-        pairs = swapped_names(measured)
+    pairs = swapped_names(measured)
+    if reason is Reason.SWAPPED_LABELS or len(pairs) >= MIN_SWAPPED_PAIRS:
         for a, b in pairs[:MOST_PAIRS]:
             yield Link(f'{a} lies where {b} should be, and the other way round', 'joints')
         if len(pairs) > MOST_PAIRS:
