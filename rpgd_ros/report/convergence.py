@@ -15,7 +15,7 @@ from rpgd_ros.core.observations import NS_PER_S, View
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.report.case import Step
 
-PARTS = (0.1, 0.25, 0.5, 0.75)  # of the recording; the whole is known already
+PARTS = (0.1, 0.25, 0.5, 0.75, 1.0)  # of the recording
 
 
 def settle(
@@ -37,12 +37,13 @@ def settle(
 
     """
     c = calibration
-    time = replace(c.config.time, estimate_offset='off')
-    config = replace(c.config, time=time, rig=replace(c.config.rig, on_bumped_camera='name'))
+    # The pose alone: a tenth of the time, and the parts are compared among themselves.
+    config = CalibrationConfig(ransac=c.config.ransac, accept=c.config.accept)
+    config = replace(config, rig=replace(config.rig, on_bumped_camera='name'))
     excluded = {d.camera for d in c.disagreements if d.rival is None}
     if c.config.rig.on_bumped_camera != 'exclude':
         excluded = set()
-    steps = []
+    found = []
     for i, (seconds, part) in enumerate(_parts(observations)):
         used = [
             (camera, view)
@@ -51,15 +52,15 @@ def settle(
         ]
         if progress:
             progress('convergence', i / len(PARTS))
-        found = _solve(used, observations, config, should_stop)
-        if found is not None:
-            steps.append(_step(seconds, found, c))
+        solved = _solve(used, observations, config, should_stop)
+        if solved is not None:
+            found.append((seconds, solved))
         if should_stop and should_stop():
-            break
-    if not steps:
+            return ()
+    if not found or found[-1][0] < _length(observations):
         return ()
-    sigma_deg, sigma_m = c.worst_sigma
-    return (*steps, Step(_length(observations), 0.0, 0.0, sigma_deg, sigma_m))
+    whole = found[-1][1]
+    return tuple(_step(seconds, solved, whole) for seconds, solved in found)
 
 
 def _solve(
@@ -96,7 +97,7 @@ def _parts(observations: Observations) -> Iterator[tuple[float, tuple[View, ...]
                 n = round(share * view.n_frames)
             else:
                 end = start + round(share * length * NS_PER_S)
-                n = int(np.searchsorted(view.stamp_ns, end))
+                n = int(np.searchsorted(view.stamp_ns, end, 'right'))
             views.append(_first(view, n))
         yield share * length, tuple(views)
 

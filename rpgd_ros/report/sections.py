@@ -201,8 +201,9 @@ def convergence(measured: Measured) -> Section | None:
         }
         plots.append(Figure(f'convergence-{key}', f'How the {key} settles.', traces, layout, 280))
     text = (
-        'The result of only the beginning of the recording, beside that of all of it. Where the '
-        'curves have not come down yet, a longer walk makes the result better.'
+        'The pose from only the beginning of the recording, beside that from all of it, both at '
+        'the clock offsets above. Where the curves have not come down yet, a longer walk makes '
+        'the result better.'
     )
     return Section('convergence', 'Convergence', (Text(text), Side(tuple(plots))))
 
