@@ -122,6 +122,8 @@ def test_installed_package_is_typed_and_alone(venv: Path) -> None:
     """The wheel brings the type marker and no other top-level package, such as the tests."""
     (packages,) = venv.glob('lib/python*/site-packages')
     assert (packages / 'rpgd_ros/py.typed').is_file()
+    for name in ('report.html', 'report.css', 'report.js'):
+        assert (packages / 'rpgd_ros/report/page' / name).is_file()
     found = {p.name for p in packages.iterdir() if p.is_dir()}
     assert {name for name in found if '.dist-info' not in name} == {'rpgd_ros'}
 
