@@ -187,8 +187,8 @@ def test_each_reliability_and_durability_is_heard_or_named(
     """What cannot be heard is an ERROR that names topic and policy."""
     override = 'qos_overrides./mocap/skeleton.subscription.reliability:=reliable'
     with live(rig, override) as node:
-        start = time.monotonic()
         node.advertise({t: k for t, k in walk.topics.items() if t != MOCAP_TOPIC})
+        start = time.monotonic()
         node.peer.advertise({MOCAP_TOPIC: POSE_ARRAY}, is_reliable=False)
         node.wait_until('not told', lambda: 'RELIABILITY' in node.peer.message('mocap') or None)
         measured('told', time.monotonic() - start, 's')
