@@ -10,11 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 import report_cases
 import scenes
 
-from rpgd_ros.core import CalibrationError, calibrate
+from rpgd_ros.core import CalibrationConfig, CalibrationError, RigidTransform, calibrate
 from rpgd_ros.report import Case, write_report
 from rpgd_ros.skeletons import CONVENTIONS
 
@@ -89,10 +90,25 @@ def test_a_still_person_is_refused_and_the_place_is_shown(said: Callable[[str], 
     assert 'static_transform_publisher' not in page.page
 
 
-def test_a_moved_camera_is_named_with_how_far_and_shown(said: Callable[[str], Said]) -> None:
+def test_a_moved_camera_is_named_with_how_far_and_shown(tmp_path: Path) -> None:
     """The other three give a transform; the page leads to the one."""
-    page = said('bumped')
-    assert re.match(r'Accepted, but without cam2: it was moved by 0\.\d+° and \d+', page.first)
+    case = scenes.scene('human36m', 600, 2)
+    cameras = list(case.cameras)
+    half = np.radians(0.5) / 2
+    moved = RigidTransform.from_quat_xyzw([0.01, 0, 0], [0, np.sin(half), 0, np.cos(half)])
+    pose = cameras[2].camera_T_world
+    assert pose is not None
+    cameras[2] = replace(cameras[2], camera_T_world=moved @ pose)
+    config = CalibrationConfig()
+    config = replace(config, rig=replace(config.rig, on_bumped_camera='exclude'))
+    calibration = calibrate(cameras, case.observations, config=config)
+    write_report(
+        tmp_path / 'report.html',
+        Case('walk', 'world', 'mocap', 0, tuple(cameras), case.observations, calibration),
+    )
+    page = read(tmp_path / 'report.html')
+    name = re.escape(cameras[2].name)
+    assert re.match(rf'Accepted, but without {name}: it was moved by 0\.\d+° and \d+', page.first)
     assert page.kind == 'warned'
     assert 'camera-2' in page.places
     assert page.marked == {'camera-2'}

@@ -51,9 +51,16 @@ def case_of_snapshot(
 
 def offsets_s(snapshot: Snapshot, calibration: Calibration | None) -> tuple[float, ...]:
     """Return how late the video of each camera is stamped, found or known, seconds."""
-    found = calibration.time_offset_s if calibration else {}
+    found = {}
+    if calibration is not None:
+        worst_s = calibration.config.time.max_sigma_s  # beyond it, an offset is not applied
+        found = {
+            name: offset_s
+            for name, (offset_s, sigma_s) in calibration.time_offset_s.items()
+            if sigma_s <= worst_s
+        }
     return tuple(
-        found.get(camera.name, (track.time_offset_s, 0.0))[0]
+        found.get(camera.name, track.time_offset_s)
         for camera, track in zip(snapshot.cameras, snapshot.keypoints, strict=True)
     )
 

@@ -19,6 +19,9 @@ from rpgd_ros.report.case import Case
 from rpgd_ros.skeletons import landmarks
 
 MAX_FRAMES = 4000  # per camera: two minutes at 30 Hz; 15 MB of arrays for 28 joints
+# Of a moved camera: residuals scatter less than half of what they share, which is a tenth of the
+# image at most. Another person is farther off, and walks.
+MOST_SCATTER, MOST_SHIFT = 0.5, 0.1
 TIME_BINS = 120  # of the whole recording, at most
 UP_FROM = ('left_ankle', 'right_ankle', 'left_hip', 'right_hip')
 UP_TO = ('left_shoulder', 'right_shoulder', 'head', 'nose', 'neck')
@@ -78,6 +81,18 @@ class Look:
         """Share of the frames with a correspondence in which most are no inliers."""
         share = self.share[np.isfinite(self.share)]
         return float((share < 0.5).mean()) if len(share) else 0.0
+
+    @cached_property
+    def shift_px(self) -> float:
+        """How far everything is beside its place, the same way; 0 where residuals scatter."""
+        residuals = self.residual[np.isfinite(self.error_px)]
+        if not len(residuals):
+            return 0.0
+        middle = np.median(residuals, axis=0)
+        scatter = float(np.median(np.linalg.norm(residuals - middle, axis=1)))
+        shift = float(np.linalg.norm(middle))
+        is_same = scatter < MOST_SCATTER * shift < MOST_SCATTER * MOST_SHIFT * self.camera.size[0]
+        return shift if is_same else 0.0
 
     @cached_property
     def seconds(self) -> Array:

@@ -120,6 +120,15 @@ def judge(measured: Measured) -> Verdict:
     return Verdict('accepted', headline, how, places, gates)
 
 
+def _lost(measured: Measured, name: str, share: float) -> str:
+    """Say what a camera does whose keypoints are elsewhere in many frames."""
+    look = next(look for look in measured.looks if look.camera.name == name)
+    if look.shift_px:
+        shift = number(look.shift_px, 0, 'px')
+        return f'{name} sees everything {shift} beside its place: it may have been moved'
+    return f'{name} follows somebody or something else in {percent(share)} of its frames'
+
+
 def _told_reason(measured: Measured, reason: Reason) -> Reason:
     """Return what lies behind a reason: a pose that hardly anything fits is never well known."""
     c = measured.case.calibration
@@ -159,7 +168,7 @@ def _doubts(measured: Measured, c: Calibration) -> Iterator[str]:
             )
     for name, share in measured.lost.items():
         if name not in measured.moved:
-            yield f'{name} follows somebody or something else in {percent(share)} of its frames'
+            yield _lost(measured, name, share)
 
 
 def _places(measured: Measured) -> Iterator[Link]:
@@ -184,8 +193,7 @@ def _places(measured: Measured) -> Iterator[Link]:
     for name, share in measured.lost.items():
         if name in measured.moved:
             continue
-        text = f'{name} does not see the skeleton in {percent(share)} of its frames'
-        yield Link(text, camera_key(measured, name))
+        yield Link(_lost(measured, name, share), camera_key(measured, name))
     if c is not None and reason is Reason.TOO_FEW_INLIERS:
         yield Link('When which camera agreed', 'time')
         for name, fit in c.per_camera.items():
