@@ -17,6 +17,7 @@ import numpy as np
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.moments import N_ALL, N_ESTIMATED, Scene, sum_moments
+from rpgd_ros.core.noise import NoiseModel, noise_at
 from rpgd_ros.core.normal import apply_delta
 from rpgd_ros.core.unknowns import System, Unknowns, assemble
 
@@ -33,7 +34,7 @@ LEAST_SHRINK = 1e-3
 # Standard deviations of the joints' offsets that are weighed against each other, metres, and how
 # much (log likelihood) any must explain the data better than none.
 JOINT_SIGMAS_M = np.geomspace(0.001, 0.08, 14)
-JOINT_GAIN = 5.0
+JOINT_GAIN = 15.0
 JOINT_SIGMA_M = 0.02  # to begin with
 FOCAL_PRIOR = 0.005  # a chessboard filmed in haste: standard deviation of a focal length
 
@@ -98,6 +99,7 @@ class Problem:
         timeline: The MoCap track; None where no time is known.
         body: The mean shape of the body; None where it has no frame.
         centroid_mocap: (3,) centre of the body, metres.
+        are_joints_noisy: Whether the track itself shows that its joints are noisy.
 
     """
 
@@ -105,6 +107,14 @@ class Problem:
     timeline: Timeline | None
     body: BodyFrame | None
     centroid_mocap: Array
+    are_joints_noisy: bool = False
+
+    def noise_at(self, state: State, *, with_joints: bool) -> NoiseModel:
+        """Fit the spread of the residuals of a state."""
+        return noise_at(
+            self.scene(state).sights, state.pose, with_joints=with_joints,
+            are_noisy=self.are_joints_noisy,
+        )  # fmt: skip
 
     def scene(self, state: State) -> Scene:
         """Give each camera the skeletons of its clock, joints where its detector sees them."""

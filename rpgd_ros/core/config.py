@@ -142,6 +142,14 @@ class RefineConfig(Stage):
         default=False,
         help="Estimate where the detector sees each joint: its hip is not the MoCap's hip",
     )
+    focal: Literal['check', 'estimate'] = setting(
+        'check', 'Say which focal length does not fit the film, or solve with one that does',
+        choices=('check', 'estimate'),
+    )  # fmt: skip
+    size: Literal['check', 'estimate'] = setting(
+        'check', 'Say that the skeleton has the wrong size, or solve with one that fits',
+        choices=('check', 'estimate'),
+    )  # fmt: skip
     max_correspondences: int = setting(
         4_000_000,
         'Budget of the last passes; evenly spread frames beyond it',

@@ -10,7 +10,7 @@ import numpy as np
 
 from rpgd_ros.core.adjust import look, prior
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.core.questions import Questions, size_sentence
+from rpgd_ros.core.questions import Questions, focal_sentences, size_sentence
 from rpgd_ros.core.synchronise import sigmas
 
 if TYPE_CHECKING:
@@ -67,12 +67,12 @@ class Findings:
     ) -> Self:
         """Ask what can be asked where only the pose was estimated."""
         focal = Questions.of_pose(sights, pose, centroid, noise).focal(is_common=True)
-        return cls(focal.pose_spread, warnings=tuple(focal.sentences(())))
+        return cls(focal.pose_spread, warnings=tuple(focal_sentences(focal, ())))
 
     @classmethod
     def of(cls, details: Details) -> Self:
         """Collect what was settled, and ask for the rest."""
-        problem, (state, unknowns, noise) = details.problem, details.at
+        problem, unknowns, (state, _, noise) = details.problem, details.unknowns, details.at
         system = look(problem, state, unknowns, noise)
         precision, _ = prior(unknowns, state)
         sigma = sigmas(system, precision)
@@ -80,18 +80,25 @@ class Findings:
         joints = None
         if unknowns.n_joints:
             joints = (state.joint_offset, sigma[unknowns.joints].reshape(-1, 3))
-        questions = Questions.of_settled(problem, details.at)
-        focal, size = questions.focal(is_common=False), questions.size()
-        told = [*details.warnings, *focal.sentences(names)]
-        told += [s for s in [size and size_sentence(size)] if s]
+        explained = details.explained
+        told, systematic = list(details.warnings), np.zeros((6, 6))
+        if not unknowns.focal:
+            systematic += details.focal.pose_spread
+            if explained is None or explained.unknowns.focal:
+                told += focal_sentences(details.focal, names)
+        size = details.size
+        if size is not None and not unknowns.with_scale:
+            systematic += size.pose_spread
+            if explained is not None and explained.unknowns.with_scale and size.wrong:
+                told.append(size_sentence(size))
         return cls(
-            focal.pose_spread,
+            systematic,
             (system, precision),
             _known(names, state.offset_s, sigma[unknowns.offsets], unknowns.offset),
             _known(names, state.rate, sigma[unknowns.rates], unknowns.rate),
             joints,
-            _known(names, focal.error, focal.sigma, range(len(names))),
-            size,
+            _known(names, details.focal.error, details.focal.sigma, range(len(names))),
+            None if size is None else (float(size.error[0]), float(size.sigma[0])),
             tuple(told),
         )
 

@@ -146,28 +146,61 @@ class Slopes(NamedTuple):
             return self._row(g_a, g_b, None)
         return self._row(g_a, g_b, self.du_dz * du + self.dv_dz * dv)
 
-    def whitened(self, res: Residuals, joint_noise: float) -> tuple[Residuals, Slopes]:
+    def joint_variance(self, joint_noise: float, body_iz: Column) -> tuple[Column, Column]:
+        """(n,) variance that noisy joints add to a residual, over that of the keypoints.
+
+        Noise n of a 3D point moves its ideal coordinates by (n_x - a n_z, n_y - b n_z) / z: mean
+        of both `(1 + (a^2 + b^2) / 2) / z^2`. The second result is that bracket.
+
+        Args:
+            joint_noise: Metres times focal length over the pixel noise: sigma_3D f / sigma.
+            body_iz: (n,) inverse depth of the body that each point is of, see `body_iz`.
+
+        """
+        spread = 1.0 + 0.5 * (self.a * self.a + self.b * self.b)
+        return (joint_noise * body_iz) ** 2 * spread, spread
+
+    def whitened(
+        self, res: Residuals, joint_noise: float, shape: tuple[int, int], joint_axis: int
+    ) -> tuple[Residuals, Slopes]:
         """Divide residuals by how much the noise of the 3D joints adds at their depth.
 
-        Its pixels grow with 1 / depth: var(r) = sigma^2 (1 + joint_noise^2 / depth^2). The
-        divisor moves with the pose, and so do these derivatives: that term takes out the bias
-        that noisy 3D points give to least squares (errors in variables).
+        var(r) = sigma^2 (1 + `joint_variance`). The divisor moves with the pose, and so do these
+        derivatives: that term takes out the bias that noisy 3D points give to least squares
+        (errors in variables).
 
         Args:
             res: Residuals.
             joint_noise: Metres times focal length over the pixel noise: sigma_3D f / sigma.
+            shape: Of the n points as joints and frames, in their order.
+            joint_axis: Which axis of that are the joints.
 
         """
-        added = (joint_noise * self.iz) ** 2
+        added, spread = self.joint_variance(joint_noise, body_iz(self.iz, shape, joint_axis))
         root = 1.0 / np.sqrt(1.0 + added)
         share = added / (1.0 + added)
         du, dv = res.du * root, res.dv * root
+        lean_a, lean_b = (0.5 * share / spread * x for x in (self.a, self.b))
         slopes = Slopes(
             self.a, self.b, self.iz,
-            self.du_da * root, self.du_db * root, self.dv_da * root, self.dv_db * root,
+            self.du_da * root - du * lean_a, self.du_db * root - du * lean_b,
+            self.dv_da * root - dv * lean_a, self.dv_db * root - dv * lean_b,
             share * du, share * dv,
         )  # fmt: skip
         return res._replace(du=du, dv=dv), slopes
+
+
+def body_iz(iz: Column, shape: tuple[int, int], joint_axis: int) -> Column:
+    """(n,) mean inverse depth of the body in each point's frame.
+
+    That of the point itself would err with it: a joint whose noise brings it nearer would be
+    weighed by the wrong depth just when its residual shows the noise.
+    """
+    depth = iz.reshape(shape)
+    there = np.count_nonzero(depth, axis=joint_axis, keepdims=True)
+    mean = depth.sum(joint_axis, keepdims=True) / np.maximum(there, 1)
+    out: Column = np.broadcast_to(mean, depth.shape).reshape(-1).astype(iz.dtype)
+    return out
 
 
 def residuals(

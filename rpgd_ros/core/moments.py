@@ -11,13 +11,13 @@ data.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from rpgd_ros.core.examine import TIME_BLOCKS, time_blocks
 from rpgd_ros.core.geometry import Array, Column, IntArray, RigidTransform
-from rpgd_ros.core.linearise import Residuals, Sight, Slopes, linearise
+from rpgd_ros.core.linearise import Residuals, Sight, Slopes, body_iz, linearise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,17 +98,15 @@ def sum_moments(scene: Scene, pose: RigidTransform, loss: Loss, *, n: int = N_AL
             x = sight.view.x_mocap[frames].transpose(1, 0, 2).reshape(-1, 3)
             uv = sight.view.uv[frames].transpose(1, 0, 2).reshape(-1, 2)
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
-            away = _away_from_centre(sight, uv, res) if n == N_ALL else None
+            larger = _enlarged(sight, uv, res, slopes, joint_noise) if n == N_ALL else None
             if joint_noise:
-                root = (1.0 + (joint_noise * slopes.iz) ** 2) ** -0.5
-                away = away and (away[0] * root, away[1] * root)
-                res, slopes = slopes.whitened(res, joint_noise)
+                res, slopes = slopes.whitened(res, joint_noise, (n_joints, -1), 0)
             added, weight, bending = loss.evaluate(res)
             cost += added
             weights += float(weight.sum(dtype=np.float64))
             if bending is not None:
                 curves += 0.5 * float(bending @ res.squared)
-            z = _directions(scene, v, frames, camera_T_mocap, slopes, x, away, n)
+            z = _directions(scene, v, frames, camera_T_mocap, slopes, x, larger, n)
             _add(z, res, weight, block[frames], information[v], gradient[v])
         information[v] *= np.clip(1.0 - curves / max(weights, 1e-30), LEAST_CURVATURE, 1.0)
     return Moments(information, gradient, cost)
@@ -116,7 +114,7 @@ def sum_moments(scene: Scene, pose: RigidTransform, loss: Loss, *, n: int = N_AL
 
 def _directions(
     scene: Scene, v: int, frames: slice, camera_T_mocap: RigidTransform, slopes: Slopes, x: Array,
-    away: tuple[Column, Column] | None, n: int,
+    larger: _Enlarged | None, n: int,
 ) -> Column:  # fmt: skip
     """(n, J, 2, F) derivatives of (du, dv) by each direction."""
     n_joints = scene.sights[v].view.n_joints
@@ -136,10 +134,11 @@ def _directions(
         turned = (rotation @ scene.body[v][frames]).astype(np.float32)
         for axis in range(3):
             z[8 + axis] = sum(push[i] * turned[:, i, axis] for i in range(3))
-    if away is not None:
-        for side, column in enumerate(away):
-            z[FOCAL, :, side] = column.reshape(shape[1:])
+    if larger is not None:
         z[SCALE] = _along(push, np.nan_to_num(rotation @ (x - scene.centre_mocap).T))
+        for side in (0, 1):
+            z[FOCAL, :, side] = larger.lens[side].reshape(shape[1:])
+            z[SCALE, :, side] += larger.noise[side].reshape(shape[1:])
         z[DRIFT] = z[TWIST] * seconds
     return z
 
@@ -152,14 +151,31 @@ def _along(push: Column, direction: Array) -> Column:
     return out
 
 
-def _away_from_centre(sight: Sight, uv: Array, res: Residuals) -> tuple[Column, Column]:
-    """Where a longer focal length moves a projection: away from the principal point, (n,) each."""
+class _Enlarged(NamedTuple):
+    """What a longer lens does to (du, dv), and what any enlargement does through the noise."""
+
+    lens: tuple[Column, Column]
+    noise: tuple[Column, Column]
+
+
+def _enlarged(
+    sight: Sight, uv: Array, res: Residuals, slopes: Slopes, joint_noise: float
+) -> _Enlarged:
+    """A longer focal length moves a projection away from the principal point.
+
+    It also enlarges the noise of the 3D joints, as a larger skeleton does, by which residuals are
+    divided: without that term noisy joints would make every lens seem too long.
+    """
     _, _, cx, cy = sight.camera.pinhole
+    body = body_iz(slopes.iz, (sight.view.n_joints, -1), 0)
+    added, _ = slopes.joint_variance(joint_noise, body)
+    root = 1.0 / np.sqrt(1.0 + added)
+    share = added / (1.0 + added) * root
     with np.errstate(invalid='ignore'):
-        return (
-            np.where(res.in_view, uv[:, 0] - cx + res.du, 0.0),
-            np.where(res.in_view, uv[:, 1] - cy + res.dv, 0.0),
-        )
+        away_u = np.where(res.in_view, uv[:, 0] - cx + res.du, 0.0) * root
+        away_v = np.where(res.in_view, uv[:, 1] - cy + res.dv, 0.0) * root
+    noise = -share * res.du, -share * res.dv
+    return _Enlarged((away_u + noise[0], away_v + noise[1]), noise)
 
 
 def _add(

@@ -17,7 +17,7 @@ import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array, Column, RigidTransform
-from rpgd_ros.core.linearise import Residuals, Sight, linearise
+from rpgd_ros.core.linearise import Residuals, Sight, body_iz, linearise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -179,7 +179,11 @@ def fit_noise(residual_px: Array, *, largest_px: float, quick: bool = False) -> 
 
 
 def noise_at(
-    sights: Sequence[Sight], pose: RigidTransform, *, with_joints: bool = False
+    sights: Sequence[Sight],
+    pose: RigidTransform,
+    *,
+    with_joints: bool = False,
+    are_noisy: bool = False,
 ) -> NoiseModel:
     """Fit the spread of the residuals of a pose.
 
@@ -188,6 +192,7 @@ def noise_at(
         pose: world_T_mocap.
         with_joints: Also estimate the noise of the 3D joints: it shows where near bodies have
             larger residuals than far ones.
+        are_noisy: Whether these are known to be noisy: then it need not show beyond doubt.
 
     Raises:
         CalibrationError: No keypoint lies before a camera.
@@ -201,25 +206,43 @@ def noise_at(
     best = fit_noise(residual_px, largest_px=LARGEST_NOISE * focal_px)
     if not with_joints:
         return best
-    most = _log_likelihood(best, residual_px, 1.0) + JOINT_NOISE_GAIN
-    for ratio in JOINT_NOISE_RATIOS / np.median(angle_px):
-        widened = np.sqrt(1.0 + (ratio * angle_px) ** 2)
-        noise = fit_noise(residual_px / widened, largest_px=LARGEST_NOISE * focal_px)
-        likelihood = _log_likelihood(noise, residual_px, widened)
-        if likelihood > most:
-            most, best = likelihood, replace(noise, joint_sigma_m=float(ratio * noise.sigma_px))
-    return best
+    ratios = (JOINT_NOISE_RATIOS / np.median(angle_px)).tolist()
+    tried = [_with_joint_noise(residual_px, angle_px, r, focal_px) for r in ratios]
+    likelihoods = np.array([likelihood for likelihood, _ in tried])
+    top = int(np.argmax(likelihoods))
+    least = 0.0 if are_noisy else JOINT_NOISE_GAIN
+    if likelihoods[top] <= _log_likelihood(best, residual_px, 1.0) + least:
+        return best
+    if 0 < top < len(ratios) - 1:
+        # Between the grid's ratios: the top of the parabola through the best three.
+        before, there, after = likelihoods[top - 1 : top + 2]
+        shift = 0.5 * (before - after) / (before - 2.0 * there + after)
+        ratio = ratios[top] * (ratios[1] / ratios[0]) ** shift
+        return _with_joint_noise(residual_px, angle_px, ratio, focal_px)[1]
+    return tried[top][1]
+
+
+def _with_joint_noise(
+    residual_px: Array, angle_px: Array, ratio: float, focal_px: float
+) -> tuple[float, NoiseModel]:
+    """Log likelihood and noise where that of the 3D joints has a ratio to it, pixels."""
+    widened = np.sqrt(1.0 + (ratio * angle_px) ** 2)
+    noise = fit_noise(residual_px / widened, largest_px=LARGEST_NOISE * focal_px)
+    likelihood = _log_likelihood(noise, residual_px, widened)
+    return likelihood, replace(noise, joint_sigma_m=float(ratio * noise.sigma_px))
 
 
 def _residuals_at(sights: Sequence[Sight], pose: RigidTransform) -> tuple[Array, Array]:
-    """Return residuals (n,), pixels, and what a metre at their depth projects to (n,), pixels."""
+    """Return residuals (n,), pixels, and what a metre of noise in 3D adds to each (n,), pixels."""
     residual: list[Column] = [np.empty(0)]
     angle: list[Column] = [np.empty(0)]
     for s in sights:
         for x, uv in s.chunks():
             res, slopes = linearise(s.camera, s.camera_T_world @ pose, x, uv)
             residual.append(np.sqrt(res.squared)[res.in_view])
-            angle.append(s.camera.focal_px * slopes.iz[res.in_view])
+            body = body_iz(slopes.iz, (-1, s.view.n_joints), 1)
+            squared, _ = slopes.joint_variance(s.camera.focal_px, body)
+            angle.append(np.sqrt(squared[res.in_view]))
     return np.concatenate(residual), np.concatenate(angle)
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rpgd_ros.core.adjust import Problem, State, prior
-from rpgd_ros.core.focal import FocalCheck
+from rpgd_ros.core.adjust import FOCAL_PRIOR, Problem, State, prior
+from rpgd_ros.core.answer import Answer
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.moments import Moments, sum_moments
 from rpgd_ros.core.thin import budget, thin
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from rpgd_ros.core.noise import Loss
     from rpgd_ros.core.synchronise import Settled
 
-POINTS = 8192  # that are looked at: 3 ms
-SIZE_SIGMAS, LEAST_SIZE = 5.0, 0.003  # of the skeleton: beyond doubt, and worth a word
+POINTS, SETTLED_POINTS = 8192, 65_536  # that are looked at: 3 and 25 ms
+LEAST_FOCAL = 0.001  # better than a chessboard does
+SIZE_PRIOR, LEAST_SIZE = 0.003, 0.003  # of a MoCap volume that was calibrated with its wand
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +60,7 @@ class Questions:
     @classmethod
     def of_settled(cls, problem: Problem, at: Settled) -> Questions:
         """Ask where more was."""
-        few = thin(problem.sights, 0, budget(problem.sights, POINTS))
+        few = thin(problem.sights, 0, budget(problem.sights, SETTLED_POINTS))
         return cls._asked(replace(problem, sights=few), at.state, at.unknowns, at.noise)
 
     @classmethod
@@ -68,46 +69,56 @@ class Questions:
         moments = sum_moments(scene, state.pose, loss)
         return cls(scene.sights, moments, state, unknowns, problem.centroid_mocap)
 
-    def focal(self, *, is_common: bool) -> FocalCheck:
+    def focal(self, *, is_common: bool) -> Answer:
         """Ask for the focal lengths: one error of all cameras, or of each."""
         n = len(self.sights)
-        return FocalCheck.of(*self._with(focal=(0,) * n if is_common else tuple(range(n))))
+        system, precision, value = self._with(focal=(0,) * n if is_common else tuple(range(n)))
+        return Answer.of(
+            system, system.unknowns.focals, precision, value, prior=FOCAL_PRIOR, least=LEAST_FOCAL
+        )
 
-    def size(self) -> tuple[float, float] | None:
-        """Share by which the skeleton should be larger, and its sigma; None for one camera.
+    def size(self) -> Answer | None:
+        """Ask for the size of the skeleton; None for one camera.
 
         A single camera sees the same of a larger body farther away.
         """
         if len(self.sights) < 2:
             return None
-        system, precision = self._with(with_scale=True)
-        step, _ = system.step(precision, self._values(system))
-        column = system.unknowns.scale.start
-        sigma = np.sqrt(system.covariance(precision)[column, column])
-        return float(step[column]), float(sigma)
+        system, precision, value = self._with(with_scale=True)
+        return Answer.of(
+            system, system.unknowns.scale, precision, value, prior=SIZE_PRIOR, least=LEAST_SIZE
+        )
 
-    def _with(self, **more: bool | tuple[int, ...]) -> tuple[System, Array]:
-        """Sums with more unknowns, and the precision of the priors of those that were there."""
-        unknowns = replace(self.unknowns, **more)  # type: ignore[arg-type]
+    def _with(
+        self, *, focal: tuple[int, ...] = (), with_scale: bool = False
+    ) -> tuple[System, Array, Array]:
+        """Sums with more unknowns; precision and value of the priors of those that were there."""
+        unknowns = replace(self.unknowns, focal=focal, with_scale=with_scale)
         pivot = self.state.pose @ self.centroid_mocap
         system = assemble(self.moments, unknowns, self.sights, pivot)
-        precision = np.zeros(len(unknowns))
-        precision[: len(self.unknowns)], _ = prior(self.unknowns, self.state)
-        return system, precision
-
-    def _values(self, system: System) -> Array:
-        values = np.zeros(len(system.unknowns))
-        _, values[: len(self.unknowns)] = prior(self.unknowns, self.state)
-        return values
+        precision, value = np.zeros((2, len(unknowns)))
+        n = len(self.unknowns)
+        precision[:n], value[:n] = prior(self.unknowns, self.state)
+        return system, precision, value
 
 
-def size_sentence(size: tuple[float, float]) -> str | None:
-    """Say to a person that the skeleton has the wrong size, where it has."""
-    error, sigma = size
-    if abs(error) <= max(LEAST_SIZE, SIZE_SIGMAS * sigma):
-        return None
-    way = 'small' if error > 0.0 else 'large'
+def focal_sentences(focal: Answer, names: Sequence[str]) -> list[str]:
+    """Say to a person what is wrong; the names are those of the cameras asked one by one."""
+    out = []
+    for k in focal.wrong:
+        whose = f'focal length of camera {names[k]} looks' if names else 'focal lengths look'
+        way = 'short' if focal.error[k] > 0.0 else 'long'
+        out.append(
+            f'the {whose} {focal.percent(k)} too {way}: the intrinsics do not fit the film. '
+            'Calibrate them again; the reported sigma holds what that may move'
+        )
+    return out
+
+
+def size_sentence(size: Answer) -> str:
+    """Say to a person that the skeleton has the wrong size."""
+    way = 'small' if size.error[0] > 0.0 else 'large'
     return (
-        f'the MoCap skeleton looks {100 * abs(error):.1f} +- {100 * sigma:.1f} % too {way}: a '
-        'suit with the wrong body size, or a MoCap volume calibrated with the wrong wand length'
+        f'the MoCap skeleton looks {size.percent(0)} too {way}: a suit with the wrong body size, '
+        'or a MoCap volume calibrated with the wrong wand length'
     )

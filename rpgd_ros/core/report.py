@@ -15,7 +15,7 @@ from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, noise_at
 from rpgd_ros.core.quality import fits
-from rpgd_ros.core.refine import Descent
+from rpgd_ros.core.refine import Descent, appraise
 from rpgd_ros.core.result import Calibration
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def report(
         systematic=findings.systematic,
     )  # fmt: skip
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
-    contradicting = disagreements(sights, descent, centroid)
+    contradicting = _contradicting(sights, descent, details, centroid)
     by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
     return Calibration(
         world_T_mocap=descent.pose,
@@ -86,6 +86,17 @@ def report(
         warnings=(*findings.warnings, *_camera_warnings(sights, counts, contradicting)),
         seconds=seconds,
     )
+
+
+def _contradicting(
+    sights: Sequence[Sight], descent: Descent, details: Details | None, centroid: Array
+) -> list[Disagreement]:
+    """Name the cameras that contradict the others, not counting what has another cause."""
+    if details is not None and details.explained is not None:
+        state, _, noise = details.explained
+        sights = details.problem.scene(state).sights
+        descent = appraise(sights, state.pose, centroid, noise, threshold_px=noise.threshold_px)
+    return disagreements(sights, descent, centroid)
 
 
 def _camera_warnings(

@@ -16,24 +16,29 @@ from rpgd_ros.core.adjust import (
     joint_sigma,
     look,
 )
+from rpgd_ros.core.answer import Answer
 from rpgd_ros.core.body_frame import body_frames
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import NoiseModel, noise_at
+from rpgd_ros.core.noise import noise_at
 from rpgd_ros.core.observations import is_there
+from rpgd_ros.core.questions import Questions
 from rpgd_ros.core.ransac import Start, robust_start
-from rpgd_ros.core.synchronise import STEPS, Settled, settled, synchronise, without_unknown
+from rpgd_ros.core.synchronise import Settled, settled, synchronise, without_unknown
 from rpgd_ros.core.thin import MIDDLE_POINTS, budget, spread, thin
-from rpgd_ros.core.timeline import Timeline
+from rpgd_ros.core.timeline import Timeline, track_noise_m
 from rpgd_ros.core.unknowns import Unknowns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rpgd_ros.core.config import CalibrationConfig
+    from rpgd_ros.core.config import CalibrationConfig, RefineConfig
     from rpgd_ros.core.observations import MocapTrack
 
 FRAME_POINTS = 8192  # that the frames of the body are compared on
+CORRECTION_STEPS = 6
+NOISY_M = 0.003  # of the joints: depth cameras and inertial suits; markers are at 0.1 to 1 mm
+GAIN_PER_NUMBER = 6.0  # log likelihood that each more number must bring (BIC of 1e5 points)
 TRACK_FRAMES = 600  # that they are fitted to
 NO_TIME = 'no time is known (fps or stamps): the offset of the video was not estimated'
 
@@ -44,7 +49,12 @@ class Details:
 
     Attributes:
         problem: All data that is used.
-        at: State, unknowns and noise.
+        at: State, what was moved last, and noise.
+        unknowns: All that is not known.
+        focal: Answer of the film to the question for each focal length.
+        size: The same for the skeleton's size; None where it cannot be asked.
+        explained: The state with the one of both corrected that is wrong, where one is: cameras
+            that still contradict each other there were moved.
         rival_ratio: `Start.rival_ratio` of the settled skeletons.
         warnings: Sentences for people.
 
@@ -52,6 +62,10 @@ class Details:
 
     problem: Problem
     at: Settled
+    unknowns: Unknowns
+    focal: Answer
+    size: Answer | None
+    explained: Settled | None
     rival_ratio: float
     warnings: tuple[str, ...]
 
@@ -77,52 +91,64 @@ def settle(
         check: Called with the fraction done; raises to end the run.
 
     """
-    middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
-    pose, noise, _ = start.candidates[0]
-    if config.refine.joint_noise and noise.is_sharp:
-        noise = noise_at(middle, pose, with_joints=True)
-    timeline, warnings = None, []
-    if config.time.estimate_offset != 'off':
-        if (
-            track is None
-            or len(track.stamp_ns) < 2
-            or any(s.view.stamp_ns is None for s in sights)
-        ):
-            warnings.append(NO_TIME)
-        else:
-            timeline = Timeline(track, is_noisy=noise.joint_sigma_m > 0.0)
-    problem = Problem(middle, timeline, None, centroid)
-    if timeline is not None:
-        at = synchronise(problem, timeline, start, config, rng, check=check)
-    else:
-        at = settled(problem, _held(problem, start, noise), check)
-    if config.refine.joint_noise and at.noise.is_sharp and not at.noise.joint_sigma_m:
-        at = at._replace(
-            noise=noise_at(problem.scene(at.state).sights, at.state.pose, with_joints=True)
-        )
+    problem, at, warnings = _clocks(sights, track, start, centroid, config, rng, check)
+    clocks = at.unknowns
+    if problem.timeline is not None and problem.are_joints_noisy and track is not None:
+        # Smoothing shrinks what swings, and the noise: it was for the clocks only.
+        problem = replace(problem, timeline=Timeline(track))
+        n = len(sights)
+        held = replace(clocks, offset=(-1,) * n, rate=(-1,) * n)
+        at = settled(problem, at._replace(unknowns=held), check)
     if config.refine.joint_offsets:
         problem, at = _with_joints(problem, at, _skeletons(sights, track), check)
-    if timeline is not None:
-        at = without_unknown(problem, at, config.time.max_sigma_s, check)
-        warnings += [
-            f'camera {s.camera.name}: the motion does not tell the offset of its clock; none '
-            'applied'
-            for s, column in zip(sights, at.unknowns.offset, strict=True)
-            if column < 0
-        ]
     # Minima that were rivals while the skeletons were late need not be rivals now.
     again = robust_start(problem.scene(at.state).sights, config.ransac, rng, check=check)
     refine = config.refine
     used = thin(sights, refine.frame_stride, budget(sights, refine.max_correspondences))
-    whole = replace(problem, sights=used)
-    return _finished(whole, at, track, again.rival_ratio, warnings, check)
+    problem = replace(problem, sights=used)
+    state, _ = adjust(problem, at.state, at.unknowns, at.noise, max_steps=2, check=check)
+    at = at._replace(state=state)
+    questions = Questions.of_settled(problem, at)
+    focal, size = questions.focal(is_common=False), questions.size()
+    explained = _explained(problem, at, focal, size, refine, check)
+    if explained is not None and is_corrected(explained, refine):
+        at = explained
+    unknowns = replace(at.unknowns, offset=clocks.offset, rate=clocks.rate)
+    return Details(problem, at, unknowns, focal, size, explained, again.rival_ratio, warnings)
 
 
-def _held(problem: Problem, start: Start, noise: NoiseModel) -> Settled:
-    """Begin where nothing is asked of time."""
-    n, n_joints = len(problem.sights), problem.sights[0].view.n_joints
-    state = State.begin(start.candidates[0].world_T_mocap, n, n_joints)
-    return Settled(state, Unknowns((-1,) * n, (-1,) * n), noise)
+def _clocks(
+    sights: list[Sight], track: MocapTrack | None, start: Start, centroid: Array,
+    config: CalibrationConfig, rng: np.random.Generator, check: Callable[[float], None],
+) -> tuple[Problem, Settled, tuple[str, ...]]:  # fmt: skip
+    """Settle pose and clocks on a part of the data; say which clock cannot be known."""
+    middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
+    pose, noise, _ = start.candidates[0]
+    are_noisy = track is not None and track_noise_m(track) > NOISY_M
+    problem = Problem(middle, None, None, centroid, config.refine.joint_noise and are_noisy)
+    n = len(sights)
+    begin = State.begin(pose, n, sights[0].view.n_joints)
+    if config.time.estimate_offset == 'off' or track is None or not _has_time(sights, track):
+        with_joints = config.refine.joint_noise and noise.is_sharp
+        noise = problem.noise_at(begin, with_joints=with_joints)
+        at = settled(problem, Settled(begin, Unknowns((-1,) * n, (-1,) * n), noise), check)
+        return problem, at, () if config.time.estimate_offset == 'off' else (NO_TIME,)
+    timeline = Timeline(track, is_noisy=are_noisy)
+    problem = replace(problem, timeline=timeline)
+    at = synchronise(problem, timeline, start, config, rng, check=check)
+    if config.refine.joint_noise and at.noise.is_sharp:
+        at = at._replace(noise=problem.noise_at(at.state, with_joints=True))
+    at = without_unknown(problem, at, config.time.max_sigma_s, check)
+    warnings = tuple(
+        f'camera {s.camera.name}: the motion does not tell the offset of its clock; none applied'
+        for s, column in zip(sights, at.unknowns.offset, strict=True)
+        if column < 0
+    )
+    return problem, at, warnings
+
+
+def _has_time(sights: Sequence[Sight], track: MocapTrack) -> bool:
+    return len(track.stamp_ns) >= 2 and all(s.view.stamp_ns is not None for s in sights)
 
 
 def _skeletons(sights: Sequence[Sight], track: MocapTrack | None) -> Array:
@@ -169,16 +195,31 @@ def _joints_settled(
     return freed
 
 
-def _finished(
-    problem: Problem, at: Settled, track: MocapTrack | None, rival_ratio: float,
-    warnings: Sequence[str], check: Callable[[float], None],
-) -> Details:  # fmt: skip
-    """Descend once more, on all data."""
-    state, _ = adjust(problem, at.state, at.unknowns, at.noise, max_steps=2, check=check)
-    if at.noise.joint_sigma_m and problem.timeline is not None and track is not None:
-        # Smoothing shrinks what swings: it was for the clocks only.
-        problem = replace(problem, timeline=Timeline(track))
-        n = len(problem.sights)
-        held = replace(at.unknowns, offset=(-1,) * n, rate=(-1,) * n)
-        state, _ = adjust(problem, state, held, at.noise, max_steps=STEPS, check=check)
-    return Details(problem, at._replace(state=state), rival_ratio, tuple(warnings))
+def _explained(
+    problem: Problem, at: Settled, focal: Answer, size: Answer | None, refine: RefineConfig,
+    check: Callable[[float], None],
+) -> Settled | None:  # fmt: skip
+    """Descend with what is wrong set free, or with what was asked for; None for neither."""
+    is_size_wrong = size is not None and bool(size.wrong)
+    if is_size_wrong and focal.wrong and size is not None:
+        # One number that explains as much as many is the better explanation.
+        is_size_wrong = size.gain > focal.gain - GAIN_PER_NUMBER * (len(focal.error) - 1)
+    with_scale = size is not None and (refine.size == 'estimate' or is_size_wrong)
+    with_focal = refine.focal == 'estimate' or (bool(focal.wrong) and not is_size_wrong)
+    if not with_scale and not with_focal:
+        return None
+    numbers = tuple(range(len(problem.sights))) if with_focal else ()
+    freed = replace(at.unknowns, focal=numbers, with_scale=with_scale)
+    state, _ = adjust(problem, at.state, freed, at.noise, max_steps=CORRECTION_STEPS, check=check)
+    return Settled(state, freed, noise_at(
+        thin(problem.scene(state).sights, 0, budget(problem.sights, MIDDLE_POINTS)), state.pose,
+        with_joints=at.noise.joint_sigma_m > 0.0,
+    ))  # fmt: skip
+
+
+def is_corrected(explained: Settled, refine: RefineConfig) -> bool:
+    """Whether everything that was set free was asked to be estimated."""
+    unknowns = explained.unknowns
+    return (not unknowns.focal or refine.focal == 'estimate') and (
+        not unknowns.with_scale or refine.size == 'estimate'
+    )

@@ -12,7 +12,7 @@ from rpgd_ros.core.adjust import Problem, State, adjust, look, prior
 from rpgd_ros.core.covariance import larger
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight, residuals
-from rpgd_ros.core.noise import NoiseModel, noise_at
+from rpgd_ros.core.noise import NoiseModel
 from rpgd_ros.core.ransac import Start, robust_start
 from rpgd_ros.core.search import coarse_offset
 from rpgd_ros.core.unknowns import System, Unknowns
@@ -83,9 +83,7 @@ def settled(problem: Problem, at: Settled, check: Callable[[float], None]) -> Se
     state, noise = at.state, at.noise
     for _ in range(2):
         state, _ = adjust(problem, state, at.unknowns, noise, max_steps=STEPS, check=check)
-        noise = noise_at(
-            problem.scene(state).sights, state.pose, with_joints=noise.joint_sigma_m > 0.0
-        )
+        noise = problem.noise_at(state, with_joints=noise.joint_sigma_m > 0.0)
     return Settled(state, at.unknowns, noise)
 
 

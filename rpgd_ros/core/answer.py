@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the film says of something that was given and may be wrong: a focal length, a size.
+
+A focal length that is 1 % wrong moves the transform by millimetres, and the residuals hardly show
+it. So it is freed for a moment beside everything else, with the prior of a good calibration: where
+the film wants another one beyond doubt, that is said, and the covariance takes in how far the pose
+would move. A single camera that sees a body at one distance cannot tell the two apart: then it is
+the prior that speaks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from rpgd_ros.core.geometry import Array
+
+if TYPE_CHECKING:
+    from rpgd_ros.core.unknowns import System
+
+SIGMAS = 5.0  # beyond doubt; clean recordings reach 3.5 in a hundred
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """Errors of n given numbers.
+
+    Attributes:
+        error: (n,) by how much what was given is too small.
+        covariance: (n, n).
+        pose_by_error: (6, n) how far the pose moves with each, about the pivot.
+        gain: By how much the errors explain the data better than none (log likelihood).
+        prior: Standard deviation of an error before the film was seen.
+        least: An error that nobody needs to hear of.
+
+    """
+
+    error: Array
+    covariance: Array
+    pose_by_error: Array
+    gain: float
+    prior: float
+    least: float
+
+    @classmethod
+    def of(
+        cls, system: System, columns: slice, precision: Array, value: Array,
+        *, prior: float, least: float,
+    ) -> Self:  # fmt: skip
+        """Ask the sums of a solve that has the numbers among its unknowns.
+
+        Args:
+            system: At the optimum of the others.
+            columns: Where the numbers stand.
+            precision: (p,) of the priors of the others; zero for the numbers.
+            value: (p,) present values of those with a prior.
+            prior: See the attribute.
+            least: See the attribute.
+
+        """
+        step, _ = system.step(precision, value)
+        inverse = system.inverse(precision)
+        own = np.linalg.inv(inverse[columns, columns])
+        error = step[columns]
+        return cls(
+            error, system.covariance(precision)[columns, columns], inverse[:6, columns] @ own,
+            0.5 * float(error @ own @ error), prior, least,
+        )  # fmt: skip
+
+    @property
+    def sigma(self) -> Array:
+        """(n,) standard deviations of the errors."""
+        sigma: Array = np.sqrt(np.diag(self.covariance))
+        return sigma
+
+    @property
+    def pose_spread(self) -> Array:
+        """(6, 6) of how far the pose may be off, about the pivot: film and prior together."""
+        known = np.linalg.inv(self.covariance)
+        kept = np.linalg.inv(known + np.eye(len(self.error)) / self.prior**2)
+        likely = kept @ known @ self.error
+        spread: Array = (
+            self.pose_by_error @ (kept + np.outer(likely, likely)) @ self.pose_by_error.T
+        )
+        return spread
+
+    @property
+    def wrong(self) -> tuple[int, ...]:
+        """Numbers of the errors that are beyond doubt."""
+        rows = zip(self.error.tolist(), self.sigma.tolist(), strict=True)
+        return tuple(
+            k for k, (error, s) in enumerate(rows) if abs(error) > max(self.least, SIGMAS * s)
+        )
+
+    def percent(self, k: int) -> str:
+        """Say how large an error is, without its sign."""
+        return f'{100 * abs(float(self.error[k])):.1f} +- {100 * float(self.sigma[k]):.1f} %'
