@@ -94,7 +94,7 @@ def disagreements(
     """
     scores = descent.examination.camera_scores
     active = [v for v in range(len(sights)) if np.any(scores[v]) or sights[v].view.n_frames]
-    if len(active) < 2 or not _is_long(sights):
+    if len(active) < 2 or not lasts_long(sights):
         return []
     views = {v: _linear(descent, v) for v in active}
     for v in _weak(descent.examination.tally):
@@ -188,7 +188,7 @@ def lost_cameras(names: Sequence[str], tally: Tally) -> list[tuple[str, float]]:
     return found
 
 
-def _is_long(sights: Sequence[Sight]) -> bool:
+def lasts_long(sights: Sequence[Sight]) -> bool:
     """Whether the stretches of time are long enough to be independent looks at the body."""
     spans = [
         s.view.n_frames / FRAMES_PER_S

@@ -119,7 +119,7 @@ def examine(
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
             white = res
             if joint_noise:
-                white, slopes = slopes.whitened(res, joint_noise, (-1, sight.view.n_joints), 1)
+                white, slopes = slopes.whitened(res, joint_noise)
             added, weight, _ = loss.evaluate(white)
             cost += added
             pull = slopes.pull(white.du * weight, white.dv * weight)

@@ -146,7 +146,7 @@ class Slopes(NamedTuple):
             return self._row(g_a, g_b, None)
         return self._row(g_a, g_b, self.du_dz * du + self.dv_dz * dv)
 
-    def joint_variance(self, joint_noise: float, body_iz: Column) -> tuple[Column, Column]:
+    def joint_variance(self, joint_noise: float) -> tuple[Column, Column]:
         """(n,) variance that noisy joints add to a residual, over that of the keypoints.
 
         Noise n of a 3D point moves its ideal coordinates by (n_x - a n_z, n_y - b n_z) / z: mean
@@ -154,15 +154,12 @@ class Slopes(NamedTuple):
 
         Args:
             joint_noise: Metres times focal length over the pixel noise: sigma_3D f / sigma.
-            body_iz: (n,) inverse depth of the body that each point is of, see `body_iz`.
 
         """
         spread = 1.0 + 0.5 * (self.a * self.a + self.b * self.b)
-        return (joint_noise * body_iz) ** 2 * spread, spread
+        return (joint_noise * self.iz) ** 2 * spread, spread
 
-    def whitened(
-        self, res: Residuals, joint_noise: float, shape: tuple[int, int], joint_axis: int
-    ) -> tuple[Residuals, Slopes]:
+    def whitened(self, res: Residuals, joint_noise: float) -> tuple[Residuals, Slopes]:
         """Divide residuals by how much the noise of the 3D joints adds at their depth.
 
         var(r) = sigma^2 (1 + `joint_variance`). The divisor moves with the pose, and so do these
@@ -172,11 +169,9 @@ class Slopes(NamedTuple):
         Args:
             res: Residuals.
             joint_noise: Metres times focal length over the pixel noise: sigma_3D f / sigma.
-            shape: Of the n points as joints and frames, in their order.
-            joint_axis: Which axis of that are the joints.
 
         """
-        added, spread = self.joint_variance(joint_noise, body_iz(self.iz, shape, joint_axis))
+        added, spread = self.joint_variance(joint_noise)
         root = 1.0 / np.sqrt(1.0 + added)
         share = added / (1.0 + added)
         du, dv = res.du * root, res.dv * root
@@ -188,19 +183,6 @@ class Slopes(NamedTuple):
             share * du, share * dv,
         )  # fmt: skip
         return res._replace(du=du, dv=dv), slopes
-
-
-def body_iz(iz: Column, shape: tuple[int, int], joint_axis: int) -> Column:
-    """(n,) mean inverse depth of the body in each point's frame.
-
-    That of the point itself would err with it: a joint whose noise brings it nearer would be
-    weighed by the wrong depth just when its residual shows the noise.
-    """
-    depth = iz.reshape(shape)
-    there = np.count_nonzero(depth, axis=joint_axis, keepdims=True)
-    mean = depth.sum(joint_axis, keepdims=True) / np.maximum(there, 1)
-    out: Column = np.broadcast_to(mean, depth.shape).reshape(-1).astype(iz.dtype)
-    return out
 
 
 def residuals(

@@ -17,7 +17,7 @@ import numpy as np
 
 from rpgd_ros.core.examine import TIME_BLOCKS, time_blocks
 from rpgd_ros.core.geometry import Array, Column, IntArray, RigidTransform
-from rpgd_ros.core.linearise import Residuals, Sight, Slopes, body_iz, linearise
+from rpgd_ros.core.linearise import Residuals, Sight, Slopes, linearise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -100,7 +100,7 @@ def sum_moments(scene: Scene, pose: RigidTransform, loss: Loss, *, n: int = N_AL
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
             larger = _enlarged(sight, uv, res, slopes, joint_noise) if n == N_ALL else None
             if joint_noise:
-                res, slopes = slopes.whitened(res, joint_noise, (n_joints, -1), 0)
+                res, slopes = slopes.whitened(res, joint_noise)
             added, weight, bending = loss.evaluate(res)
             cost += added
             weights += float(weight.sum(dtype=np.float64))
@@ -167,8 +167,7 @@ def _enlarged(
     divided: without that term noisy joints would make every lens seem too long.
     """
     _, _, cx, cy = sight.camera.pinhole
-    body = body_iz(slopes.iz, (sight.view.n_joints, -1), 0)
-    added, _ = slopes.joint_variance(joint_noise, body)
+    added, _ = slopes.joint_variance(joint_noise)
     root = 1.0 / np.sqrt(1.0 + added)
     share = added / (1.0 + added) * root
     with np.errstate(invalid='ignore'):

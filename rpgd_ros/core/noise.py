@@ -17,7 +17,7 @@ import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array, Column, RigidTransform
-from rpgd_ros.core.linearise import Residuals, Sight, body_iz, linearise
+from rpgd_ros.core.linearise import Residuals, Sight, linearise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -240,8 +240,7 @@ def _residuals_at(sights: Sequence[Sight], pose: RigidTransform) -> tuple[Array,
         for x, uv in s.chunks():
             res, slopes = linearise(s.camera, s.camera_T_world @ pose, x, uv)
             residual.append(np.sqrt(res.squared)[res.in_view])
-            body = body_iz(slopes.iz, (-1, s.view.n_joints), 1)
-            squared, _ = slopes.joint_variance(s.camera.focal_px, body)
+            squared, _ = slopes.joint_variance(s.camera.focal_px)
             angle.append(np.sqrt(squared[res.in_view]))
     return np.concatenate(residual), np.concatenate(angle)
 

@@ -86,7 +86,7 @@ def normal_equations(
         for x, uv in sight.chunks():
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
             if joint_noise:
-                res, slopes = slopes.whitened(res, joint_noise, (-1, sight.view.n_joints), 1)
+                res, slopes = slopes.whitened(res, joint_noise)
             added, weight, bending = loss.evaluate(res)
             cost += added
             _accumulate(res, slopes, weight, bending, info, bend, grad)

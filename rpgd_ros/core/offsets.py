@@ -106,7 +106,7 @@ def timed_equations(
         for frames, (x, uv) in zip(sight.slices(), sight.chunks(), strict=True):
             res, slopes = linearise(sight.camera, camera_T_mocap, x, uv)
             if joint_noise:
-                res, slopes = slopes.whitened(res, joint_noise, (-1, sight.view.n_joints), 1)
+                res, slopes = slopes.whitened(res, joint_noise)
             added, weight, bending = loss.evaluate(res)
             cost += added
             drift = (camera_T_mocap.rotation @ velocity[frames].reshape(-1, 3).T).astype(

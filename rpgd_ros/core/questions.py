@@ -86,7 +86,13 @@ class Questions:
             return None
         system, precision, value = self._with(with_scale=True)
         return Answer.of(
-            system, system.unknowns.scale, precision, value, prior=SIZE_PRIOR, least=LEAST_SIZE
+            system,
+            system.unknowns.scale,
+            precision,
+            value,
+            prior=SIZE_PRIOR,
+            least=LEAST_SIZE,
+            lasting=True,
         )
 
     def _with(

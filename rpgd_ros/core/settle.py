@@ -16,6 +16,7 @@ from rpgd_ros.core.adjust import (
     joint_sigma,
     look,
 )
+from rpgd_ros.core.agreement import lasts_long
 from rpgd_ros.core.answer import Answer
 from rpgd_ros.core.body_frame import body_frames
 from rpgd_ros.core.geometry import Array
@@ -39,6 +40,9 @@ FRAME_POINTS = 8192  # that the frames of the body are compared on
 CORRECTION_STEPS = 6
 NOISY_M = 0.003  # of the joints: depth cameras and inertial suits; markers are at 0.1 to 1 mm
 GAIN_PER_NUMBER = 6.0  # log likelihood that each more number must bring (BIC of 1e5 points)
+# No detector means so different a joint. Several of them are swapped sides, which a rotation of
+# the body would hide: hips are 20 cm apart.
+LARGEST_OFFSET_M = 0.15
 TRACK_FRAMES = 600  # that they are fitted to
 NO_TIME = 'no time is known (fps or stamps): the offset of the video was not estimated'
 
@@ -178,7 +182,11 @@ def _with_joints(
     if best is None:
         return problem, at
     problem = replace(problem, body=best)
-    return problem, _joints_settled(problem, at, freed, check)
+    freed = _joints_settled(problem, at, freed, check)
+    reach = np.linalg.norm(freed.state.joint_offset, axis=1)
+    if np.count_nonzero(reach > LARGEST_OFFSET_M) > 1:
+        return replace(problem, body=None), at
+    return problem, freed
 
 
 def _joints_settled(
@@ -200,7 +208,8 @@ def _explained(
     check: Callable[[float], None],
 ) -> Settled | None:  # fmt: skip
     """Descend with what is wrong set free, or with what was asked for; None for neither."""
-    is_size_wrong = size is not None and bool(size.wrong)
+    is_long = lasts_long(problem.sights)
+    is_size_wrong = size is not None and bool(size.wrong) and is_long
     if is_size_wrong and focal.wrong and size is not None:
         # One number that explains as much as many is the better explanation.
         is_size_wrong = size.gain > focal.gain - GAIN_PER_NUMBER * (len(focal.error) - 1)
