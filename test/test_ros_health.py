@@ -28,6 +28,7 @@ from rpgd_ros.session import Session, Snapshot, solve
 from rpgd_ros.session.coverage import ImageCoverage, RoomCoverage
 from rpgd_ros.session.expect import Expected
 from rpgd_ros.session.guidance import Guidance
+from rpgd_ros.session.monitor import Appraisal
 
 FRAMES = Frames('studio', 'vicon')
 FINE = Health(
@@ -60,7 +61,7 @@ def calibration(snapshot: Snapshot) -> Calibration:
 
 def end(
     snapshot: Snapshot,
-    save: Callable[[Calibration], None],
+    save: Callable[[Calibration, Appraisal], None],
     *,
     published: RigidTransform | None = None,
     should_stop: Callable[[], bool] = bool,
@@ -81,7 +82,7 @@ def strict(snapshot: Snapshot) -> Snapshot:
     return replace(snapshot, config=snapshot.config.with_stage('accept', min_pairs=10**9))
 
 
-def drop(_calibration: Calibration) -> None:
+def drop(_calibration: Calibration, _appraisal: Appraisal) -> None:
     """Save nothing."""
 
 
@@ -113,7 +114,7 @@ def test_answer_of_a_refused_run_is_reason_and_message() -> None:
 def test_result_that_cannot_be_saved_is_accepted_all_the_same(snapshot: Snapshot) -> None:
     """The disk is full: the transform is published, and the answer says what is wrong."""
 
-    def save(_found: Calibration) -> None:
+    def save(_found: Calibration, _appraisal: Appraisal) -> None:
         raise InputError(Reason.NOT_WRITABLE, 'No space left on device')
 
     outcome = end(snapshot, save)
@@ -154,7 +155,7 @@ def test_error_of_the_published_pose_is_of_the_newest_data(
 def test_run_that_is_stopped_saves_nothing(snapshot: Snapshot) -> None:
     """Not even when the stop comes after the last step of the solve."""
     saved: list[Calibration] = []
-    outcome = end(snapshot, saved.append, should_stop=lambda: True)
+    outcome = end(snapshot, lambda found, _: saved.append(found), should_stop=lambda: True)
     assert outcome.reason == Reason.CANCELLED
     assert not saved
 

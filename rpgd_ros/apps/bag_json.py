@@ -55,6 +55,7 @@ def json_of(
             mocap_frame=mocap_frame,
             stamp_ns=run.stamp_ns,
             optical_frames=run.session.optical_frames(),
+            levels=run.stored_levels,
         )
         tree['result'] = yaml.safe_load(text)
     return json.dumps(tree, indent=2, default=str)

@@ -101,6 +101,7 @@ def _result(job: Job, path: Path) -> None:
             mocap_frame=mocap_frame,
             stamp_ns=run.stamp_ns,
             optical_frames=run.session.optical_frames(),
+            levels=run.stored_levels,
         )
 
 

@@ -18,10 +18,12 @@ from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.observations import Observations
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.recording import Recording, open_recording
+from rpgd_ros.io.result_file import StoredLevel
 from rpgd_ros.io.rig import Rig
 from rpgd_ros.pairing import BufferConfig
 from rpgd_ros.report import StreamCount
 from rpgd_ros.session import Session, SessionConfig, Snapshot, solve
+from rpgd_ros.session.monitor import appraise
 from rpgd_ros.session.replay import replay
 
 # A recording is finite: all of it is kept, up to a day.
@@ -65,6 +67,13 @@ class BagRun:
         if self.snapshot is None:
             return None
         return observations_of(self.snapshot, self.calibration)
+
+    @cached_property
+    def stored_levels(self) -> dict[str, StoredLevel]:
+        """How each camera fits what was found: what a later recording is compared with."""
+        if self.calibration is None or self.snapshot is None:
+            return {}
+        return appraise(self.snapshot, self.calibration).stored_levels
 
     @property
     def offsets_s(self) -> tuple[float, ...]:

@@ -29,17 +29,28 @@ from rpgd_ros.io.camera_poses import (
     read_transform,
     transform_tree,
 )
+from rpgd_ros.io.found import FOUND, Found, Pair, StoredLevel, found_tree, read_found
 from rpgd_ros.io.frames import NONE, Frames
 from rpgd_ros.io.strict import Node, read_yaml
 
-__all__ = ['StoredResult', 'backups', 'read_result', 'result_text', 'write_result']
+__all__ = [
+    'StoredLevel',
+    'StoredResult',
+    'backups',
+    'read_result',
+    'result_text',
+    'write_result',
+]
 
 SCHEMA: Final = 1
+NO_LEVELS: Final[Mapping[str, StoredLevel]] = {}
 CONVENTION: Final = (
     'x_world = world_T_mocap @ x_mocap: the pose of the MoCap origin in the world, metres, '
     'right-handed; TF carries it from world_frame (parent) to mocap_frame (child). '
     'Covariance of (rotation [rad], translation [m]), both along the axes of the world; those of '
-    'camera_poses along the axes of the camera.'
+    'camera_poses along the axes of the camera. time_offset_s, clock_rate, focal_error and '
+    'skeleton_scale are [value, standard deviation]: seconds that a video is stamped late, '
+    'seconds per second, and shares by which focal length and skeleton were given too small.'
 )
 # Keys that nothing is read from: for people and other programs.
 FOR_PEOPLE: Final = (
@@ -64,10 +75,10 @@ class StoredResult:
         sigma_rotation_deg: Standard deviation of the rotation, degrees.
         sigma_position_m: Standard deviation of the body's position, metres.
         camera_mpjpe_px: Mean residual by camera, pixels; NaN where a camera saw nothing.
-        time_offset_s: (offset, sigma) by camera, where estimated, seconds.
         warnings: Sentences for people.
         camera_poses: Extrinsics by camera, where they were found.
         optical_frames: Names of their frames, by camera.
+        found: Clocks, joints, lenses, persons, and how each camera fitted.
 
     """
 
@@ -81,10 +92,15 @@ class StoredResult:
     sigma_rotation_deg: float
     sigma_position_m: float
     camera_mpjpe_px: Mapping[str, float]
-    time_offset_s: Mapping[str, tuple[float, float]]
     warnings: tuple[str, ...]
     camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
     optical_frames: Mapping[str, str] = field(default_factory=dict)
+    found: Found = field(default_factory=Found)
+
+    @property
+    def time_offset_s(self) -> Mapping[str, Pair]:
+        """(offset, sigma) by camera, where estimated, seconds."""
+        return self.found.time_offset_s
 
 
 def write_result(
@@ -95,6 +111,7 @@ def write_result(
     mocap_frame: str,
     stamp_ns: int,
     optical_frames: Mapping[str, str] = NONE,
+    levels: Mapping[str, StoredLevel] = NO_LEVELS,
 ) -> None:
     """Write an accepted calibration; a file that was there becomes a dated backup beside it.
 
@@ -105,6 +122,7 @@ def write_result(
         mocap_frame: Child frame.
         stamp_ns: When it was found, since 1970.
         optical_frames: By camera, where it is not `<camera>_optical_frame`.
+        levels: How each camera fits it, by camera: what a later recording is compared with.
 
     Raises:
         InputError: NOT_WRITABLE. The old file is untouched.
@@ -117,6 +135,7 @@ def write_result(
         mocap_frame=mocap_frame,
         stamp_ns=stamp_ns,
         optical_frames=optical_frames,
+        levels=levels,
     )
     if not path.is_symlink():
         back_up(path)
@@ -130,6 +149,7 @@ def result_text(
     mocap_frame: str,
     stamp_ns: int,
     optical_frames: Mapping[str, str] = NONE,
+    levels: Mapping[str, StoredLevel] = NO_LEVELS,
 ) -> str:
     """Return a calibration as the text of a result file; arguments as `write_result`."""
     c = calibration
@@ -157,7 +177,7 @@ def result_text(
         'cameras': {name: _fit(fit) for name, fit in c.per_camera.items()},
         'camera_poses': poses_tree(c.camera_poses, frames),
         'joints': {str(name): _fit(fit) for name, fit in c.per_joint.items()},
-        'time_offset_s': {name: list(pair) for name, pair in c.time_offset_s.items()},
+        **found_tree(c, levels),
         'warnings': list(c.warnings),
         'parameters': asdict(c.config),
         'versions': {
@@ -213,14 +233,13 @@ def read_result(path: Path | str) -> StoredResult:
             *('schema', 'world_frame', 'mocap_frame', 'stamp_ns', 'world_T_mocap', 'sigma'),
             *('covariance', 'mpjpe_px', 'inlier_ratio', 'cameras'),
         ),
-        ('time_offset_s', 'warnings', 'camera_poses', *FOR_PEOPLE),
+        ('warnings', 'camera_poses', *FOUND, *FOR_PEOPLE),
     )
     if top['schema'].integer(0, 10**6) != SCHEMA:
         top['schema'].refuse(
             f'schema {top["schema"].value} is unknown, this version reads {SCHEMA}'
         )
     sigma = top['sigma'].mapping(('rotation_deg', 'position_m'))
-    offsets = top['time_offset_s'].items() if 'time_offset_s' in top else ()
     warnings = top['warnings'].sequence() if 'warnings' in top else []
     poses, optical = read_poses(top['camera_poses']) if 'camera_poses' in top else ({}, {})
     return StoredResult(
@@ -234,10 +253,10 @@ def read_result(path: Path | str) -> StoredResult:
         sigma_rotation_deg=sigma['rotation_deg'].number(0.0),
         sigma_position_m=sigma['position_m'].number(0.0),
         camera_mpjpe_px={name: _mpjpe(node) for name, node in top['cameras'].items()},
-        time_offset_s={name: _offset(node) for name, node in offsets},
         warnings=tuple(node.text() for node in warnings),
         camera_poses=poses,
         optical_frames=optical,
+        found=read_found(top),
     )
 
 
@@ -268,8 +287,3 @@ def _mpjpe(camera: Node) -> float:
     keys = ('mpjpe_px', 'inlier_mpjpe_px', 'inliers', 'correspondences', 'bias_px')
     error = camera.mapping(keys)['mpjpe_px']
     return math.nan if error.value is None else error.number(0.0)
-
-
-def _offset(node: Node) -> tuple[float, float]:
-    offset_s, sigma_s = node.numbers(2)
-    return offset_s, sigma_s

@@ -21,7 +21,7 @@ from rpgd_ros.ros.results import Results
 from rpgd_ros.ros.worker import Worker, attempt
 from rpgd_ros.session import Session, Snapshot
 from rpgd_ros.session.jump import refuse_jump
-from rpgd_ros.session.levels import Level
+from rpgd_ros.session.levels import stored_levels
 from rpgd_ros.session.monitor import Monitor
 
 T = TypeVar('T')
@@ -151,11 +151,7 @@ class Engine:
         """Keep watch over a pose from a result file."""
         self.monitor.keep_watch(
             stored.world_T_mocap,
-            {
-                name: Level.kept(error_px)
-                for name, error_px in stored.camera_mpjpe_px.items()
-                if error_px > 0.0  # false for NaN: it saw nothing
-            },
+            stored_levels(stored),
             offsets_s={name: offset_s for name, (offset_s, _) in stored.time_offset_s.items()},
         )
 

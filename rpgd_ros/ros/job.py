@@ -67,7 +67,7 @@ def run(
     *,
     published_cameras: Mapping[str, CameraPose] = NO_CAMERAS,
     check: Callable[[Calibration], None] | None = None,
-    save: Callable[[Calibration], None],
+    save: Callable[[Calibration, Appraisal], None],
     progress: Callable[[str, float], None],
     should_stop: Callable[[], bool],
 ) -> Outcome:
@@ -96,7 +96,7 @@ def run(
             check(found)
         appraisal = appraise(snapshot, found)
         calibration = found
-        save(calibration)
+        save(calibration, appraisal)
     except CalibrationError as error:
         reason, message = error.reason, error.message
         if error.calibration is not None:

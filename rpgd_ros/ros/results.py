@@ -164,6 +164,7 @@ class Results:
         frames: Frames,
         worker: Worker,
         calibration: Calibration,
+        appraisal: Appraisal | None,
         *,
         found_ns: int | None = None,
         data: Snapshot | None = None,
@@ -174,6 +175,7 @@ class Results:
             frames: Their names.
             worker: Keeps the process alive meanwhile.
             calibration: What was found.
+            appraisal: What its data say of it.
             found_ns: When; None = now.
             data: What it was found from. Without it a file of other data is removed.
 
@@ -190,6 +192,7 @@ class Results:
                 mocap_frame=frames.mocap,
                 stamp_ns=found_ns or time.time_ns(),
                 optical_frames=frames.optical,
+                levels=appraisal.stored_levels if appraisal else {},
             )
             beside = self.path.with_suffix('.npz')
             if data is not None:
@@ -208,8 +211,9 @@ class Results:
             msg = 'nothing to save: no calibration was accepted since the node started'
             raise InputError(Reason.NO_DATA, msg)
         newest = self._history[-1]
+        found, appraisal = newest.calibration, newest.appraisal
         self.write(
-            newest.frames, worker, newest.calibration, found_ns=newest.found_ns, data=newest.data
+            newest.frames, worker, found, appraisal, found_ns=newest.found_ns, data=newest.data
         )
         if self.report is not None and newest.data is not None:
             page = self.path.with_suffix('.html')

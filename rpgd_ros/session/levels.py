@@ -13,6 +13,7 @@ from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.observations import NS_PER_S, View
+from rpgd_ros.io.result_file import StoredLevel, StoredResult
 
 WINDOW_S = 4.0  # of the running medians: several steps, so that a pose of the body averages out
 MIN_FRAMES = 8  # of a window that says anything: detectors run at 2 Hz and faster
@@ -60,6 +61,25 @@ class Level:
         For all that is known it is all of offsets of joints that last.
         """
         return cls(error_px, bias_px=KEPT_BIAS * error_px, is_kept=True)
+
+    @classmethod
+    def of_stored(cls, stored: StoredLevel) -> Level:
+        """Return the level that a result file tells in full."""
+        return cls(
+            stored.error_px,
+            stored.spread_px,
+            np.array(stored.shift_px),
+            stored.shift_spread_px,
+            stored.bias_px,
+        )
+
+    @property
+    def stored(self) -> StoredLevel:
+        """What a result file says of it."""
+        du, dv = (float(value) for value in self.shift_px)
+        return StoredLevel(
+            self.error_px, self.spread_px, (du, dv), self.shift_spread_px, self.bias_px
+        )
 
     def follows(self, anchor: Level) -> bool:
         """Whether it is no worse than a level that somebody has accepted."""
@@ -159,6 +179,16 @@ def agreed(levels: Mapping[str, Level], moved: Sequence[str]) -> dict[str, Level
     return {
         name: capped(level, usual) if name in moved else level for name, level in levels.items()
     }
+
+
+def stored_levels(stored: StoredResult) -> dict[str, Level]:
+    """Return how cameras fitted the pose of a result file; older ones tell the error alone."""
+    kept = {
+        name: Level.kept(error_px)
+        for name, error_px in stored.camera_mpjpe_px.items()
+        if error_px > 0.0  # false for NaN: it saw nothing
+    }
+    return kept | {name: Level.of_stored(level) for name, level in stored.found.levels.items()}
 
 
 def running_of(error_px: Array, shift_px: Array) -> Running | None:

@@ -11,6 +11,7 @@ from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.core.thin import budget, thin
+from rpgd_ros.io.result_file import StoredLevel
 from rpgd_ros.session.collect import MOCAP, Session
 from rpgd_ros.session.coverage import Coverage
 from rpgd_ros.session.expect import Expectation, Expected
@@ -42,6 +43,11 @@ class Appraisal:
     offsets_s: Mapping[str, float]
     poses: Mapping[str, RigidTransform]
     expectation: Expectation
+
+    @property
+    def stored_levels(self) -> dict[str, StoredLevel]:
+        """What the result file says of the levels."""
+        return {name: level.stored for name, level in self.levels.items()}
 
 
 def appraise(snapshot: Snapshot, calibration: Calibration) -> Appraisal:
