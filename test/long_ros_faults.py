@@ -66,8 +66,8 @@ def test_node_starts_and_stops_a_hundred_times(rig: Path, measured: Measured) ->
 class Soak:
     """A walk that never ends, with faults thrown in.
 
-    None is larger than a message may be: Fast DDS keeps the memory of the largest that each of
-    the 200 places of a queue has held, so that giants make it grow until they have been in all.
+    None is larger than a message may be: giants enlarge the queues of the middleware, which were
+    not seen to shrink again.
 
     Attributes:
         walk: What is walked, again and again with later stamps.

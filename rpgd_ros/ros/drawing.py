@@ -74,7 +74,8 @@ class Way:
             apart = np.linalg.norm(new.camera.project(world_T_mocap @ x) - uv, axis=-1)
             seen += there
             near += there & (apart < threshold_px)  # False for NaN: not in view
-        x_mocap = pairs[0].view.x_mocap[-1]
+        # A copy: a row of the view would keep all frames of the view as long as the place.
+        x_mocap = pairs[0].view.x_mocap[-1].copy()
         with np.errstate(invalid='ignore'):
             place = Place(x_mocap, np.where(seen > 0, near / np.maximum(seen, 1), np.nan))
         middle = middle_of(x_mocap)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node keeps of a stream that does not end, without the middleware's queues."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from itertools import count
+
+import pytest
+from fault_report import Measured
+from ros_scene import Scene, make_scene
+from test_ros_faults_inputs import restamped
+
+from rpgd_ros.io.rig import read_rig
+from rpgd_ros.pairing import BufferConfig
+from rpgd_ros.ros.drawing import MAX_PATH, PATH_STEP_M, Way
+from rpgd_ros.session import Session, SessionConfig, solve
+from rpgd_ros.session.monitor import Monitor, appraise
+
+S = 1_000_000_000
+MIB = 2**20
+POLL_NS = S // 2  # of the stamps: 0.1 s where a walk of 240 messages/s is played at 1080
+LOOK_POLLS = 5
+MAX_FRAMES = 1000
+WARM_WALKS, N_WALKS = 6, 24  # of 8 s of stamps; the stores are full after five
+
+
+@pytest.fixture(scope='module')
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Return eight seconds of a walk before four cameras."""
+    return make_scene(tmp_path_factory.mktemp('walk'))
+
+
+class Room:
+    """The parts of the node that keep something of the messages, fed like its poll does."""
+
+    def __init__(self, walk: Scene) -> None:
+        """Start empty."""
+        config = SessionConfig(buffer=BufferConfig(max_frames=MAX_FRAMES))
+        self.session = Session(read_rig(walk.rig), config)
+        self.monitor = Monitor(self.session, max_age_s=config.buffer.max_age_s)
+        self.way = Way()
+        self._walk = walk
+        self._rounds = count()
+
+    def walk_through(self) -> None:
+        """Take one walk, later than the one before."""
+        messages, topics = self._walk.messages, self.session.topics()
+        first = messages[0][1]
+        shift = next(self._rounds) * (messages[-1][1] - first + S // 100)
+        pose = self.monitor.recent.pose
+        polls: dict[int, dict[str, list[tuple[bytes, int]]]] = {}
+        for topic, time_ns, payload in messages:
+            sec, ns = (int.from_bytes(payload[i : i + 4], 'little') for i in (4, 8))
+            later = restamped(payload, sec * S + ns + shift)
+            batch = polls.setdefault((time_ns - first) // POLL_NS, {})
+            batch.setdefault(topic, []).append((later, time_ns + shift))
+        for batch in polls.values():
+            for topic, sent in batch.items():
+                payloads, receive_ns = zip(*sent, strict=True)
+                self.session.add(topics[topic], self._walk.topics[topic], payloads, receive_ns)
+            self.way.add(self.monitor.look(turns=LOOK_POLLS), pose, 15.0)
+
+
+@pytest.mark.fault(35)
+def test_memory_stays_flat_once_the_stores_are_full(walk: Scene, measured: Measured) -> None:
+    """Minutes of studio after a calibration: watch and drawing keep nothing they looked at."""
+    room = Room(walk)
+    room.walk_through()
+    snapshot = room.session.snapshot()
+    appraisal = appraise(snapshot, solve(snapshot))
+    room.monitor.conclude(appraisal, is_accepted=True, is_automatic=False)
+    tracemalloc.start()
+    try:
+        for n in range(N_WALKS):
+            if n == WARM_WALKS:
+                gc.collect()
+                before = tracemalloc.get_traced_memory()[0]
+                n_places = len(room.way.places)
+            room.walk_through()
+        gc.collect()
+        growth = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    n_places = len(room.way.places) - n_places
+    measured('growth', growth / MIB, 'MiB', n=n_places)
+    # The way itself is still growing: its places have to be small.
+    assert 100 < n_places < MAX_PATH
+    assert growth < MIB, f'{n_places} places of {PATH_STEP_M} m'
