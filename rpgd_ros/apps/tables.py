@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from rpgd_ros.apps.found_tables import found_rows, joint_rows, unseen_sentence
 from rpgd_ros.core.camera_pose import CameraPose, is_mocap_world
 from rpgd_ros.core.result import Calibration, GroupFit
 from rpgd_ros.report import StreamCount
@@ -45,7 +46,7 @@ def print_calibration(
     sigma_deg, sigma_m = calibration.worst_sigma
     table = _table('', '')
     table.show_header = False
-    frames = f'{escape(world_frame)} <- {escape(mocap_frame)}'
+    frames = f'{world_frame} <- {mocap_frame}'
     for name, value in (
         ('transform', f'{frames}: x_world = R x_mocap + t'),
         ('t (x y z)', f'{_numbers(pose.translation)} m'),
@@ -60,21 +61,30 @@ def print_calibration(
         ('inliers', f'{100 * calibration.inlier_ratio:.1f} % of {calibration.correspondences}'),
         ('frames', str(calibration.frames)),
         ('solve', f'{calibration.seconds:.2f} s'),
-        *(
-            (f'{camera} is late', f'{1000 * offset_s:.1f} +- {1000 * sigma_s:.1f} ms')
-            for camera, (offset_s, sigma_s) in calibration.time_offset_s.items()
-        ),
-        *(
-            (f'{camera} shows it', f'shown in {100 * shown.share:.0f} % of {shown.frames} frames')
-            for camera, shown in calibration.shown.items()
-        ),
+        *found_rows(calibration),
     ):
-        table.add_row(name, value)
+        table.add_row(escape(name), escape(value))
     console.print(table)
+    _print_joints(console, calibration)
     if poses:
         _print_poses(console, poses)
     for warning in calibration.warnings:
         console.print(f'warning: {warning}', markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_joints(console: Console, calibration: Calibration) -> None:
+    """Print where the detector sees the joints, and what nobody can see of that."""
+    rows = list(joint_rows(calibration))
+    if rows:
+        table = _table(
+            'joint', 'seen beside the MoCap by x y z, mm, turning with the body', 'sigma'
+        )
+        for row in rows:
+            table.add_row(*map(escape, row))
+        console.print(table)
+    unseen = unseen_sentence(calibration)
+    if unseen:
+        console.print(unseen, markup=False, highlight=False, soft_wrap=True)
 
 
 def _print_poses(console: Console, poses: Mapping[str, CameraPose]) -> None:

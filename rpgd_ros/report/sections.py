@@ -31,7 +31,7 @@ from rpgd_ros.report.blocks import (
 )
 from rpgd_ros.report.cameras import cameras
 from rpgd_ros.report.forms import forms
-from rpgd_ros.report.found import clocks, joint_offsets, persons, placed
+from rpgd_ros.report.found import beside, placed
 from rpgd_ros.report.measure import TIME_BINS, Measured, swapped_names
 from rpgd_ros.report.room import room
 
@@ -100,7 +100,7 @@ def joints(measured: Measured) -> Section | None:
         pairs = ', '.join(f'{a} and {b}' for a, b in swapped_names(measured))
         blocks.insert(0, Bullets((Link(f'Lie on each other instead of on themselves: {pairs}.'),)))
     figure = _joint_figure(list(c.per_joint), np.array(bands).T)
-    blocks += [figure, Table(head, tuple(rows), marked=frozenset(marked)), *joint_offsets(c)]
+    blocks += [figure, Table(head, tuple(rows), marked=frozenset(marked))]
     return Section('joints', 'Joints', tuple(blocks), is_marked=bool(swapped))
 
 
@@ -129,13 +129,11 @@ def _joint_figure(names: list[str], bands: Array) -> Figure:
 
 
 def times(measured: Measured) -> Section | None:
-    """Clock offsets, and who agreed when."""
+    """Who agreed when."""
     c = measured.case.calibration
     if c is None or not measured.looks:
         return None
-    blocks: list[Block] = [*clocks(c), *persons(c)]
-    blocks.append(_agreement(measured))
-    return Section('time', 'Time', tuple(blocks))
+    return Section('time', 'Time', (_agreement(measured),))
 
 
 def _agreement(measured: Measured) -> Figure:
@@ -289,6 +287,7 @@ SECTIONS: tuple[Callable[[Measured], Iterator[Section]], ...] = (
     _optional(placed),
     cameras,
     _optional(joints),
+    _optional(beside),
     _optional(times),
     _optional(convergence),
     _optional(streams),

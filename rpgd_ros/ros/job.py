@@ -16,6 +16,7 @@ from rpgd_ros.core.errors import CalibrationError, Reason, RpgdError
 from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.frames import Frames
+from rpgd_ros.ros.found import found_figures
 from rpgd_ros.session import Snapshot, solve
 from rpgd_ros.session.monitor import Appraisal, appraise
 
@@ -192,8 +193,7 @@ def figures(calibration: Calibration) -> dict[str, object]:
         'sigma_rotation_deg': calibration.sigma_rotation_deg,
         'sigma_position_m': calibration.sigma_position_m,
     }
-    for camera, (offset_s, _) in calibration.time_offset_s.items():
-        values[f'time_offset_ms {camera}'] = float(offset_s) * 1e3
+    values |= found_figures(calibration)
     for camera, pose in calibration.camera_poses.items():
         values[f'sigma_rotation_deg {camera}'] = pose.sigma_rotation_deg
         values[f'sigma_position_m {camera}'] = pose.sigma_position_m
