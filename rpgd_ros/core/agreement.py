@@ -53,6 +53,8 @@ class Disagreement:
         sigma_m: Standard deviation of the shift.
         excess: How many times the test statistic exceeds what chance gives once in 10 000 runs.
         rival: The other camera where there are only two: it may as well be that one.
+        since_s: When it was moved, where that happened during the recording: seconds after its
+            first frame.
 
     """
 
@@ -63,6 +65,7 @@ class Disagreement:
     sigma_m: float
     excess: float
     rival: str | None = None
+    since_s: float | None = None
 
     def sentence(self) -> str:
         """Say it to a person."""
@@ -75,8 +78,9 @@ class Disagreement:
                 f'cameras {self.camera} and {self.rival} contradict each other by {moved}: one of '
                 'the two was moved. Calibrate the rig again'
             )
+        when = f', since {self.since_s:.1f} s' if self.since_s is not None else ''
         return (
-            f'camera {self.camera} contradicts the others by {moved}: was it moved? '
+            f'camera {self.camera} contradicts the others by {moved}{when}: was it moved? '
             'Calibrate its extrinsics again'
         )
 

@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole solve: robust start, refinement, figures, gates."""
+"""Calibrates: solves, solves again without moved cameras, refuses what nobody should use."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rpgd_ros.core.body import check_body, motion_m, sampled_joints
+from rpgd_ros.core.body import motion_m
+from rpgd_ros.core.camera_pose import CameraPose, through_world
 from rpgd_ros.core.config import (
-    PAPER_RANSAC_FRAMES,
-    PAPER_REFINE_FRAMES,
-    PAPER_THRESHOLD_PX,
     CalibrationConfig,
+    RigConfig,
+    TimeConfig,
 )
+from rpgd_ros.core.dating import moved_since
 from rpgd_ros.core.diagnose import (
     GOOD_RATIO,
     MAY_BE_MIRRORED,
@@ -24,53 +25,19 @@ from rpgd_ros.core.diagnose import (
     refuse_ambiguous,
     refuse_swapped,
 )
-from rpgd_ros.core.errors import CalibrationError, InputError, Reason
+from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, noise_at
+from rpgd_ros.core.observations import NS_PER_S, Observations
 from rpgd_ros.core.quality import refuse
-from rpgd_ros.core.ransac import published, robust_start
-from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
-from rpgd_ros.core.report import report, with_excluded
+from rpgd_ros.core.report import with_excluded
 from rpgd_ros.core.result import Calibration
-from rpgd_ros.core.settle import Details, settle
-from rpgd_ros.core.thin import MIDDLE_POINTS, budget, spread, thin
+from rpgd_ros.core.solve import Run, Solved, solve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from rpgd_ros.core.agreement import Disagreement
     from rpgd_ros.core.camera import Camera
-    from rpgd_ros.core.geometry import Array, RigidTransform
-    from rpgd_ros.core.observations import Observations
-
-
-@dataclass(frozen=True, slots=True)
-class _Run:
-    """Progress, cancellation and time limit of one solve."""
-
-    progress: Callable[[str, float], None] | None
-    should_stop: Callable[[], bool] | None
-    clock: Callable[[], float]
-    started: float
-    max_seconds: float
-    furthest: dict[str, float] = field(default_factory=dict)
-
-    def check(self, stage: str) -> Callable[[float], None]:
-        """Return what a stage calls with its fraction done."""
-
-        def tick(fraction: float) -> None:
-            # A stage may walk over the data twice, and be entered again without a moved camera.
-            furthest = min(max(self.furthest.get(stage, 0.0), fraction), 1.0)
-            self.furthest[stage] = furthest
-            if self.progress is not None:
-                self.progress(stage, furthest)
-            if self.should_stop is not None and self.should_stop():
-                msg = f'cancelled during {stage}'
-                raise CalibrationError(Reason.CANCELLED, msg)
-            if self.max_seconds and self.clock() - self.started > self.max_seconds:
-                msg = f'the time limit of {self.max_seconds:g} s ended the run during {stage}'
-                raise CalibrationError(Reason.CANCELLED, msg)
-
-        return tick
 
 
 def calibrate(
@@ -101,84 +68,79 @@ def calibrate(
 
     """
     config = config or CalibrationConfig()
-    run = _Run(progress, should_stop, clock, clock(), config.max_seconds)
+    run = Run(progress, should_stop, clock, clock(), config.max_seconds)
     seed = config.ransac.seed if seed is None else seed
-    solved = _solve(cameras, observations, config, seed, run)
-    if config.rig.on_bumped_camera == 'exclude':
+    solved = solve(cameras, observations, config, seed, run)
+    if config.rig.on_bumped_camera != 'name':
         solved = _without_moved(solved, cameras, observations, seed, run)
     _pass_gates(solved, run)
     return solved.calibration
 
 
-class _Solved(NamedTuple):
-    """A solve before the gates."""
-
-    calibration: Calibration
-    sights: list[Sight]
-    rival_ratio: float
-
-
-def _solve(
-    cameras: Sequence[Camera], observations: Observations, config: CalibrationConfig,
-    seed: int, run: _Run,
-) -> _Solved:  # fmt: skip
-    """Start, refine and collect the figures."""
-    sights = _sights(cameras, observations)
-    check_body(sights)
-    rng = np.random.default_rng(seed)
-    centroid = _centroid(sights)
-    details: Details | None = None
-    if config.ransac.score == 'inliers':
-        pose, noise = _published_start(sights, config, rng, run)
-        rival_ratio = np.inf
-    else:
-        start = robust_start(sights, config.ransac, rng, check=run.check('start'))
-        (pose, noise, _), rival_ratio = start.candidates[0], start.rival_ratio
-        if config.time.estimate_offset != 'off' or config.refine.joint_offsets:
-            details = settle(
-                sights,
-                observations.mocap,
-                start,
-                centroid,
-                config,
-                rng,
-                check=run.check('details'),
-            )
-    if details is None:
-        descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
-    else:
-        sights, rival_ratio, loss = list(details.sights), details.rival_ratio, details.at.noise
-        threshold_px = config.ransac.threshold_px or details.at.noise.threshold_px
-        descent = appraise(
-            sights, details.at.state.pose, centroid, loss, threshold_px=threshold_px
-        )
-    calibration = report(
-        sights, descent, loss, threshold_px=threshold_px, centroid=centroid, details=details,
-        joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
-        order=[c.name for c in cameras],
-    )  # fmt: skip
-    return _Solved(calibration, sights, rival_ratio)
-
-
 def _without_moved(
-    solved: _Solved, cameras: Sequence[Camera], observations: Observations, seed: int, run: _Run
-) -> _Solved:
-    """Solve again without the cameras that were moved, if any."""
+    solved: Solved, cameras: Sequence[Camera], observations: Observations, seed: int, run: Run
+) -> Solved:
+    """Solve again without the cameras that were moved, the worst first, one at a time.
+
+    The others are judged anew each time: what one moved camera does to clocks and joints may make
+    a good one look moved.
+    """
     whole = solved.calibration
-    moved = {d.camera for d in whole.disagreements if d.rival is None}
-    if not moved:
+    named: list[Disagreement] = []
+    while True:
+        worst = next((d for d in solved.calibration.disagreements if d.rival is None), None)
+        if worst is None:
+            break
+        named.append(worst)
+        out = {d.camera for d in named}
+        kept = [v for v, camera in enumerate(cameras) if camera.name not in out]
+        views = tuple(observations.views[v] for v in kept)
+        solved = solve(
+            [cameras[v] for v in kept], replace(observations, views=views), whole.config, seed, run
+        )
+    if not named:
         return solved
-    kept = [v for v, camera in enumerate(cameras) if camera.name not in moved]
-    views = tuple(observations.views[v] for v in kept)
-    rest = _solve(
-        [cameras[v] for v in kept], replace(observations, views=views), whole.config, seed, run
+    views_of = dict(zip((c.name for c in cameras), observations.views, strict=True))
+    camera_of = {c.name: c for c in cameras}
+    dated, poses = [], dict(solved.calibration.camera_poses)
+    for moved in named:
+        sight = Sight(camera_of[moved.camera], views_of[moved.camera])
+        if solved.details is not None:
+            sight = solved.details.of_other(sight)
+        rise = moved_since(sight, solved.calibration.world_T_mocap)
+        since_s = None if rise is None else rise.since_s
+        dated.append(replace(moved, since_s=since_s))
+        if whole.config.rig.on_bumped_camera == 're-estimate':
+            pose = _placed(sight, since_s, solved.calibration, seed)
+            poses.update({} if pose is None else {moved.camera: pose})
+    calibration = with_excluded(solved.calibration, whole, dated)
+    return solved._replace(calibration=replace(calibration, camera_poses=poses))
+
+
+def _placed(
+    sight: Sight, since_s: float | None, rest: Calibration, seed: int
+) -> CameraPose | None:
+    """Find where a camera that was moved is now, by what it saw since; None where it cannot be."""
+    stamp_ns = sight.view.stamp_ns
+    if since_s is not None and stamp_ns is not None:
+        sight = sight.at_frames(np.flatnonzero(stamp_ns >= stamp_ns[0] + since_s * NS_PER_S))
+    camera = replace(sight.camera, camera_T_world=None)
+    plain = replace(
+        rest.config, time=TimeConfig(), rig=RigConfig(), refine=replace(rest.config.refine,
+        joint_offsets=False),
+    )  # fmt: skip
+    try:
+        own = calibrate([camera], Observations((sight.view,)), config=plain, seed=seed)
+    except CalibrationError:
+        return None
+    return through_world(
+        own.world_T_mocap, own.covariance, rest.world_T_mocap, rest.covariance, own.centroid_mocap
     )
-    return rest._replace(calibration=with_excluded(rest.calibration, whole, moved))
 
 
-def _pass_gates(solved: _Solved, run: _Run) -> None:
+def _pass_gates(solved: Solved, run: Run) -> None:
     """Raise when nobody should use the calibration, naming the cause where it is known."""
-    calibration, sights, rival_ratio = solved
+    calibration, sights, rival_ratio, _ = solved
     config = calibration.config
     refuse_swapped(sights, calibration)
     try:
@@ -198,70 +160,3 @@ def _pass_gates(solved: _Solved, run: _Run) -> None:
     is_doubtful = calibration.inlier_ratio < GOOD_RATIO and config.ransac.score == 'likelihood'
     if is_doubtful and is_mirrored(sights, config.ransac, check=run.check('diagnosis')):
         raise CalibrationError(Reason.MIRRORED_AXES, MIRRORED, calibration=calibration)
-
-
-def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight]:
-    """Pair cameras with views, by name, so that their order is that of no caller.
-
-    Those that saw nothing are kept out.
-    """
-    if len(cameras) != len(observations.views):
-        msg = f'{len(cameras)} cameras for {len(observations.views)} views'
-        raise InputError(Reason.BAD_INPUT, msg)
-    if len({c.name for c in cameras}) < len(cameras):
-        msg = f'cameras need different names, got {", ".join(c.name for c in cameras)}'
-        raise InputError(Reason.BAD_INPUT, msg)
-    blind = [c.name for c in cameras if c.camera_T_world is None]
-    if blind and len(cameras) > 1:
-        msg = f'no extrinsics for {", ".join(blind)}: `calibrate_cameras` finds them'
-        raise CalibrationError(Reason.NO_EXTRINSICS, msg)
-    pairs = sorted(zip(cameras, observations.views, strict=True), key=lambda pair: pair[0].name)
-    sights = [Sight(c, v) for c, v in pairs if v.n_frames and v.uv.shape[1]]
-    if not sights:
-        msg = 'no frame with skeleton and keypoints'
-        raise CalibrationError(Reason.NO_DATA, msg)
-    return sights
-
-
-def _centroid(sights: Sequence[Sight]) -> Array:
-    """(3,) centre of the observed joints, metres: the pivot of all steps."""
-    x = np.concatenate([sampled_joints(s, len(sights)).reshape(-1, 3) for s in sights])
-    centre: Array = np.median(x[np.isfinite(x).all(-1)], axis=0)
-    return centre
-
-
-def _published_start(
-    sights: Sequence[Sight], config: CalibrationConfig, rng: np.random.Generator, run: _Run
-) -> tuple[RigidTransform, NoiseModel]:
-    tau = config.ransac.threshold_px or PAPER_THRESHOLD_PX
-    ransac = replace(config.ransac, threshold_px=tau)
-    few = thin(sights, ransac.frame_stride, lambda n: spread(n, PAPER_RANSAC_FRAMES))
-    pose = published(few, ransac, rng, check=run.check('start'))
-    return pose, noise_at(few, pose)
-
-
-def _refine(
-    sights: Sequence[Sight], pose: RigidTransform, noise: NoiseModel, centroid: Array,
-    config: CalibrationConfig, run: _Run,
-) -> tuple[Descent, Loss, float]:  # fmt: skip
-    """Refine as configured; return the end, the loss, and the threshold of an inlier."""
-    check, refine, steps = run.check('refinement'), config.refine, config.refine.iterations
-    if refine.method == 'newton' and refine.loss == 'robust':
-        # The noise is fitted on a part of the data, where the pose is already at its optimum.
-        middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
-        pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
-        noise = noise_at(middle, pose, with_joints=refine.joint_noise)
-        if noise.joint_sigma_m:
-            pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
-            noise = noise_at(middle, pose, with_joints=True)
-    loss: Loss = SquaredLoss() if refine.loss == 'squared' else noise
-    threshold_px = config.ransac.threshold_px or noise.threshold_px
-    used = thin(sights, refine.frame_stride, budget(sights, refine.max_correspondences))
-    if refine.method == 'newton':
-        end = finish(used, pose, centroid, loss, max_steps=steps, threshold_px=threshold_px,
-                     check=check)  # fmt: skip
-        return end, loss, threshold_px
-    if refine.method == 'adam':
-        few = thin(sights, refine.frame_stride, lambda n: spread(n, PAPER_REFINE_FRAMES))
-        pose = adam(few, pose, refine, loss, check=check)
-    return appraise(used, pose, centroid, loss, threshold_px=threshold_px), loss, threshold_px

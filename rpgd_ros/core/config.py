@@ -182,9 +182,9 @@ class TimeConfig(Stage):
 class RigConfig(Stage):
     """What becomes of a camera that contradicts the others."""
 
-    on_bumped_camera: Literal['name', 'exclude'] = setting(
-        'name', 'Name a camera that was moved, or also solve without it',
-        choices=('name', 'exclude'),
+    on_bumped_camera: Literal['name', 'exclude', 're-estimate'] = setting(
+        'name', 'Name a camera that was moved; also solve without it; also find where it is now',
+        choices=('name', 'exclude', 're-estimate'),
     )  # fmt: skip
 
 

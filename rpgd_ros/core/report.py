@@ -10,6 +10,7 @@ import numpy as np
 
 from rpgd_ros.core.agreement import Disagreement, disagreements, lost_cameras
 from rpgd_ros.core.covariance import covariances
+from rpgd_ros.core.dating import moved_meanwhile
 from rpgd_ros.core.findings import Findings
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
@@ -91,11 +92,23 @@ def report(
 def _contradicting(
     sights: Sequence[Sight], descent: Descent, details: Details | None, centroid: Array
 ) -> list[Disagreement]:
-    """Name the cameras that contradict the others, not counting what has another cause."""
-    if details is not None and details.explained is not None:
-        state, _, noise = details.explained
+    """Name the cameras that contradict the others, not counting what has a common cause.
+
+    The focal length of one camera alone is none: it may as well be what is left of its move.
+    """
+    explained = details and details.explained
+    if (
+        details is not None
+        and explained
+        and (explained.unknowns.with_scale or len(details.focal.wrong) > 1)
+    ):
+        state, _, noise = explained
         sights = details.problem.scene(state).sights
         descent = appraise(sights, state.pose, centroid, noise, threshold_px=noise.threshold_px)
+    if details is not None:
+        moved = moved_meanwhile(sights, descent.pose, centroid, details.at.noise)
+        if moved is not None:
+            return [moved]
     return disagreements(sights, descent, centroid)
 
 
@@ -110,14 +123,16 @@ def _camera_warnings(
     ]
 
 
-def with_excluded(rest: Calibration, whole: Calibration, moved: set[str]) -> Calibration:
+def with_excluded(
+    rest: Calibration, whole: Calibration, named: Sequence[Disagreement]
+) -> Calibration:
     """Return the solve without the moved cameras, with what was found out about them."""
-    named = tuple(d for d in whole.disagreements if d.camera in moved)
+    moved = {d.camera for d in named}
     fits_of_moved = {name: whole.per_camera[name] for name in whole.per_camera if name in moved}
     excluded = f'{", ".join(sorted(moved))}: not used for the transform'
     return replace(
         rest,
-        disagreements=named + rest.disagreements,
+        disagreements=(*named, *rest.disagreements),
         per_camera={**rest.per_camera, **fits_of_moved},
         warnings=(*(d.sentence() for d in named), excluded, *rest.warnings),
     )

@@ -78,6 +78,18 @@ class Details:
         """Cameras with the skeletons of their true instants, joints where they are seen."""
         return self.problem.scene(self.at.state).sights
 
+    def of_other(self, sight: Sight) -> Sight:
+        """Return another camera with skeletons as these cameras would see them.
+
+        Its clock is taken to run as theirs do.
+        """
+        state = self.at.state
+        one = replace(
+            state, offset_s=np.array([np.median(state.offset_s)]),
+            rate=np.array([np.median(state.rate)]), focal=np.zeros(1),
+        )  # fmt: skip
+        return replace(self.problem, sights=[sight]).scene(one).sights[0]
+
 
 def settle(
     sights: list[Sight], track: MocapTrack | None, start: Start, centroid: Array,

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from rpgd_ros.core.timeline import Timeline
 
 WEAK_SHARE = 0.5  # a camera of which less agrees may be off by more than a descent can bridge
+POOR_SHARE = 0.5  # of what agrees in the others: something else than time is wrong with a camera
+POOR_GAIN = 2.0  # in what agrees, that an offset of its own must bring such a camera
 STEPS = 12
 # Quartz is 1e-4 off at worst. Beyond that, and beyond doubt, frames were counted at a wrong rate.
 RATE_SIGMAS, LEAST_RATE = 5.0, 2e-5
@@ -69,7 +71,34 @@ def synchronise(
         again = robust_start(moved, config.ransac, rng, check=check)
         searched = settled(problem, _begin(problem, offset_s, unknowns, again), check)
         at = min(at, searched, key=lambda s: (not s.noise.is_sharp, -s.noise.share))
+    if not is_common:
+        at = _without_pretexts(problem, at, check)
     return _with_rates(problem, at, check) if config.time.estimate_rate else at
+
+
+def _without_pretexts(problem: Problem, at: Settled, check: Callable[[float], None]) -> Settled:
+    """Take back offsets with which a camera still fits far worse than the others.
+
+    A camera that was moved fits nowhere in time, and some wrong offset fits a little better than
+    the right one. It gets that of the others, so that what is wrong with it can show.
+    """
+    share = np.array(_shares(problem, at))
+    offset_s = at.state.offset_s.copy()
+    poor = [v for v, s in enumerate(share) if s < POOR_SHARE * np.median(np.delete(share, v))]
+    if not poor or len(poor) > len(share) - 2:
+        return at
+    offset_s[poor] = np.median(np.delete(offset_s, poor))
+    back = at._replace(state=replace(at.state, offset_s=offset_s))
+    poor = [v for v in poor if share[v] < POOR_GAIN * _shares(problem, back)[v]]
+    if not poor:
+        return at
+    kept = sorted(set(range(len(share))) - set(poor))
+    offset_s = at.state.offset_s.copy()
+    offset_s[poor] = np.median(offset_s[kept])
+    column = [kept.index(v) if v in kept else -1 for v in range(len(share))]
+    state = replace(at.state, offset_s=offset_s)
+    unknowns = replace(at.unknowns, offset=tuple(column))
+    return settled(problem, at._replace(state=state, unknowns=unknowns), check)
 
 
 def _begin(problem: Problem, offset_s: Array, unknowns: Unknowns, start: Start) -> Settled:
