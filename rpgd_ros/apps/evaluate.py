@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress
 
 from rpgd_ros.apps.evaluate_cluster import each_on_cluster
+from rpgd_ros.apps.evaluate_plots import plot_rows
 from rpgd_ros.apps.evaluate_pool import each_somewhere
 from rpgd_ros.apps.evaluate_sequence import METHODS, Row, Task, empty_row, evaluate, finished
 from rpgd_ros.apps.evaluate_tables import csv_text, json_text, print_results, solved
@@ -25,6 +26,7 @@ from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.datasets import Dataset, DatasetName, open_dataset
 from rpgd_ros.io.atomic import remove_leftovers, write_atomic
+from rpgd_ros.report.sequences import check_library
 
 EXIT_DONE, EXIT_PARTIAL, EXIT_BAD_INPUT, EXIT_BUG = 0, 1, 2, 70
 MAX_COMPLAINTS = 10
@@ -49,6 +51,7 @@ as program, settings and data stay the same: stop at any time, and start again.
 
 examples:
   evaluate aist_plusplus_final --dataset aistpp --select published --csv aistpp.csv
+  evaluate mpi_inf_3dhp --dataset mpi_inf_3dhp --plots sequences.html
   evaluate h36m --dataset human36m --sequences 'S9/*' 'S11/*'
   evaluate /data/aistpp --dataset aistpp --results /data/results --scheduler tcp://head:8786
 exit codes:
@@ -102,6 +105,11 @@ def _parser() -> argparse.ArgumentParser:
     text = 'only these sequences; * and ? stand for any characters'
     add('--sequences', nargs='+', default=[], metavar='NAME', help=text)
     add('--csv', type=Path, metavar='FILE', help='write one line per sequence')
+    text = (
+        'write plots as one page: MPJPE, distance from the given pose and time of every sequence '
+        "(needs pip install 'rpgd_ros[report]')"
+    )
+    add('--plots', type=Path, metavar='FILE.html', help=text)
     text = 'print the rows of the CSV as JSON instead of tables, for programs'
     add('--json', action='store_true', help=text)
     text = (
@@ -125,7 +133,10 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
     if arguments.jobs < 1:
         msg = f'--jobs must be 1 or more, got {arguments.jobs}'
         raise InputError(Reason.BAD_INPUT, msg)
-    for path in filter(None, (arguments.csv, arguments.results, arguments.export)):
+    if arguments.plots:
+        check_library()
+    files = (arguments.csv, arguments.results, arguments.export, arguments.plots)
+    for path in filter(None, files):
         if not path.absolute().parent.is_dir():
             msg = f'{path.parent} is no folder: create it first'
             raise InputError(Reason.NOT_WRITABLE, msg)
@@ -150,6 +161,8 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
         print_results(out, arguments.dataset, rows, tasks[0].methods)
     if arguments.csv:
         write_atomic(arguments.csv, csv_text(rows))
+    if arguments.plots:
+        plot_rows(arguments.plots, arguments.dataset, rows, tasks[0].methods)
     return _conclude(rows, err)
 
 

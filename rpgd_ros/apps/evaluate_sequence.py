@@ -15,6 +15,7 @@ import numpy as np
 
 from rpgd_ros import __version__
 from rpgd_ros.apps.bench_problems import THRESHOLDS_PX, body_points, mpjpe_px
+from rpgd_ros.apps.evaluate_bound import yardstick
 from rpgd_ros.core import (
     Calibration,
     CalibrationConfig,
@@ -31,13 +32,13 @@ from rpgd_ros.io.atomic import write_atomic
 # One row of results: what a CSV line holds.
 Row = dict[str, Any]
 
-SCHEMA = 1
+SCHEMA = 2
 METHODS = ('ransac', 'rpgd', 'default')
 FIGURES = ('px', 'deg', 'mm', 'ms', 'refusal')
 COLUMNS = (
     'sequence', 'left_out', 'error', 'cameras', 'frames', 'joints', 'correspondences', 'gt_px',
     'read_ms', *(f'{method}_{figure}' for method in METHODS for figure in FIGURES),
-    'default_sigma_deg', 'default_sigma_mm',
+    'default_sigma_deg', 'default_sigma_mm', 'noise_px', 'bound_deg', 'bound_mm', 'lasting_px',
 )  # fmt: skip
 
 
@@ -160,6 +161,7 @@ def _measure(task: Task, dataset: Dataset) -> Row:
     }
     if row['left_out']:
         return row
+    row |= _nearest(sequence)
     for method, config in task.configs.items():
         columns, calibration = _solve(sequence, method, config, frames)
         row |= columns
@@ -167,6 +169,19 @@ def _measure(task: Task, dataset: Dataset) -> Row:
             cameras, observations = sequence.cameras, sequence.observations
             write_labels(task.export, task.stem, cameras, observations, calibration)
     return row
+
+
+def _nearest(sequence: DatasetSequence) -> Row:
+    """Return the columns of what can be known at the dataset's pose."""
+    measured = yardstick(sequence)
+    if measured is None:
+        return {}
+    return {
+        'noise_px': measured.noise.sigma_px,
+        'bound_deg': measured.bound.rotation_deg,
+        'bound_mm': 1e3 * measured.bound.points_m,
+        'lasting_px': measured.lasting_px,
+    }
 
 
 def _solve(
