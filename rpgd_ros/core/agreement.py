@@ -257,11 +257,11 @@ def _compare(
         shift_m=float(np.linalg.norm(to_centre @ difference)),
         sigma_deg=float(np.degrees(np.sqrt(np.trace(covariance[:3, :3])))),
         sigma_m=float(np.sqrt(np.trace(to_centre @ covariance @ to_centre.T))),
-        excess=float(statistic) / _chance(free),
+        excess=float(statistic) / chance(free),
         rival=None if rival is None else sights[rival].camera.name,
     )
 
 
-def _chance(free: int) -> float:
+def chance(free: int) -> float:
     """Value that F(6, free) exceeds once in 10 000 times; within 10 %, on the large side."""
     return 4.6 * (1.0 + 13.0 / free + 120.0 / free**2)

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from rpgd_ros.core.adjust import look, prior
+from rpgd_ros.core.drift import Drift, find_drift
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.questions import Questions, focal_sentences, size_sentence
 from rpgd_ros.core.synchronise import sigmas
+from rpgd_ros.core.thin import budget, thin
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from rpgd_ros.core.noise import NoiseModel
     from rpgd_ros.core.settle import Details
     from rpgd_ros.core.unknowns import System
+
+
+DRIFT_POINTS = 32_768  # that the drift is sought on
 
 
 class JointOffset(NamedTuple):
@@ -48,6 +53,7 @@ class Findings:
         joint_offset: (J, 3) metres; (J, 3) standard deviations.
         focal_error: {camera: (error, sigma)}, shares of the focal length.
         scale: Error of the skeleton's size and its sigma, shares.
+        drift: How fast the pose changes, where it does beyond doubt.
         warnings: Sentences for people.
 
     """
@@ -59,6 +65,7 @@ class Findings:
     joint_offset: tuple[Array, Array] | None = None
     focal_error: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     scale: tuple[float, float] | None = None
+    drift: Drift | None = None
     warnings: tuple[str, ...] = ()
 
     @classmethod
@@ -91,6 +98,12 @@ class Findings:
             systematic += size.pose_spread
             if explained is not None and explained.unknowns.with_scale and size.wrong:
                 told.append(size_sentence(size))
+        few = thin(details.sights, 0, budget(problem.sights, DRIFT_POINTS))
+        drift = find_drift(few, state.pose, problem.centroid_mocap, noise)
+        if drift is not None and not drift.is_certain:
+            drift = None
+        if drift is not None:
+            told = [*details.warnings, drift.sentence()]  # it bends what was said of the rest
         return cls(
             systematic,
             (system, precision),
@@ -99,6 +112,7 @@ class Findings:
             joints,
             _known(names, details.focal.error, details.focal.sigma, range(len(names))),
             None if size is None else (float(size.error[0]), float(size.sigma[0])),
+            drift,
             tuple(told),
         )
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from rpgd_ros.core.adjust import Problem, State
 from rpgd_ros.core.candidates import Crowd, CrowdView, assemble
 from rpgd_ros.core.config import CalibrationConfig
 from rpgd_ros.core.crowd import draw_sample, find_pose
@@ -23,10 +24,11 @@ from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.matching import best_matching
 from rpgd_ros.core.noise import NoiseModel, noise_at
 from rpgd_ros.core.observations import MocapTrack, Observations
-from rpgd_ros.core.offsets import descend_in_time, shifted
 from rpgd_ros.core.refine import descend
+from rpgd_ros.core.synchronise import Settled, settled
 from rpgd_ros.core.thin import MIDDLE_POINTS, budget, thin
 from rpgd_ros.core.timeline import Timeline
+from rpgd_ros.core.unknowns import Unknowns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -38,7 +40,6 @@ if TYPE_CHECKING:
 # there by chance.
 AGREEING_JOINTS, AGREEING_PART, AGREEING_SHARE = 3, 0.5, 0.2
 ROUNDS = 3  # of picking and refining: the first pose is 1 px off at worst, the second nothing
-TIME_STEPS = 12
 CHUNK = 1024  # instants
 
 
@@ -183,14 +184,12 @@ def _refined(
             middle, pose, centroid, noise, max_steps=config.refine.iterations, check=check
         )
         return pose, noise_at(middle, pose), None
-    timeline = Timeline(track)
-    known_s = np.zeros(len(middle))
-    for _ in range(2):
-        pose, known_s, _ = descend_in_time(
-            middle, timeline, pose, known_s, centroid_mocap=centroid, loss=noise,
-            column=range(len(middle)), max_steps=TIME_STEPS, check=check,
-        )  # fmt: skip
-        noise = noise_at(shifted(middle, timeline, known_s)[0], pose)
+    problem = Problem(middle, Timeline(track), None, centroid)
+    n = len(middle)
+    unknowns = Unknowns(tuple(range(n)), (-1,) * n)
+    begin = State.begin(pose, n, middle[0].view.n_joints)
+    state, _, noise = settled(problem, Settled(begin, unknowns, noise), check)
+    pose, known_s = state.pose, state.offset_s
     offset_s = np.zeros(len(cameras))
     offset_s[[view.n_frames > 0 for view in observations.views]] = known_s
     return pose, noise, offset_s

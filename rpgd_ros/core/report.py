@@ -61,6 +61,8 @@ def report(
     )  # fmt: skip
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
     contradicting = _contradicting(sights, descent, details, centroid)
+    if findings.drift is not None:
+        contradicting = [d for d in contradicting if d.since_s is None]
     by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
     return Calibration(
         world_T_mocap=descent.pose,
@@ -83,6 +85,7 @@ def report(
         joint_offset_m=findings.joint_offset_m(names),
         focal_error=findings.focal_error,
         skeleton_scale=findings.scale,
+        drift=findings.drift,
         disagreements=tuple(contradicting),
         warnings=(*findings.warnings, *_camera_warnings(sights, counts, contradicting)),
         seconds=seconds,

@@ -15,6 +15,7 @@ from rpgd_ros.core.geometry import Array, RigidTransform
 if TYPE_CHECKING:
     from rpgd_ros.core.agreement import Disagreement
     from rpgd_ros.core.camera_pose import CameraPose
+    from rpgd_ros.core.drift import Drift
     from rpgd_ros.core.findings import JointOffset
     from rpgd_ros.core.persons import Shown
 
@@ -74,6 +75,7 @@ class Calibration:
         focal_error: {camera: (error, sigma)} where asked for: share by which the focal length that
             was given is too short.
         skeleton_scale: (error, sigma) where asked for: share by which the skeleton is too small.
+        drift: How fast `world_T_mocap` changes, where it does beyond doubt.
         disagreements: Cameras that contradict the others, the worst first.
         camera_poses: Extrinsics by camera, where they were found (`calibrate_cameras`).
         shown: By camera, how much of its video shows the persons with MoCap, where several
@@ -104,6 +106,7 @@ class Calibration:
     joint_offset_m: Mapping[str, JointOffset] = field(default_factory=dict)
     focal_error: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     skeleton_scale: tuple[float, float] | None = None
+    drift: Drift | None = None
     disagreements: tuple[Disagreement, ...] = ()
     camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
     shown: Mapping[str, Shown] = field(default_factory=dict)
