@@ -293,7 +293,7 @@ def test_figures_keep_their_significant_digits() -> None:
 @pytest.mark.parametrize(
     ('options', 'message'),
     [
-        (['speed'], "unknown table 'speed'; known: published, solver, honesty"),
+        (['speed'], "unknown table 'speed'; known: published, solver, honesty, growth, reading"),
         (['solver', '--ratios', '1.5'], '--ratios must be above 0 and at most 1'),
         (['solver', '--limit', 'nan'], '--limit must be above 0 s'),
         (['--first-seed', '-1'], '--first-seed must be 0 or more'),

@@ -41,6 +41,13 @@ ROS_PROGRAMS = frozenset({
     f'{PACKAGE}.apps.bench_live', f'{PACKAGE}.apps.calibrator', f'{PACKAGE}.apps.demo',
 })  # fmt: skip
 
+# The modules of that room that say what the node is told and tells: they need no ROS.
+ROS_FREE = frozenset({
+    f'{PACKAGE}.ros.{name}'
+    for name in ('found', 'job', 'parameters', 'parameters_file', 'parameters_text', 'settings',
+                 'setup')
+})  # fmt: skip
+
 # The one module that reads pickles: nothing that they name is found (test_datasets_pickles.py).
 PICKLE_READER = f'{PACKAGE}.datasets.pickles'
 
@@ -68,7 +75,7 @@ DEPENDENCIES = {
     'plotly': frozenset({'report'}),
     'poselib': frozenset({'apps'}),
     'rich': frozenset({'apps'}),
-    'rosbags': frozenset({'messages', 'io'}),
+    'rosbags': frozenset({'messages', 'io', 'apps'}),  # apps: the peer of bench_reading
     'scipy': frozenset({'apps', 'datasets', 'simulation'}),
     'yaml': frozenset({'io', 'datasets', 'simulation', 'report', 'ros', 'apps'}),
     'launch': frozenset({'launch'}),
@@ -146,8 +153,19 @@ def imports_against_the_flow(module: Module) -> Iterator[Offence]:
             continue
         if room not in ROOMS.get(module.room, frozenset()):
             yield line, f'{module.room or PACKAGE} imports {room}'
-        if room == 'ros' and module.room == 'apps' and module.name not in ROS_PROGRAMS:
+        needs_ros = module.room == 'apps' and module.name in ROS_PROGRAMS
+        if room == 'ros' and not needs_ros and name.rpartition('.')[0] not in ROS_FREE:
             yield line, f'{module.name} runs without ROS, but imports {name}'
+
+
+def needs_ros_after_all(module: Module) -> Iterator[Offence]:
+    """What programs without ROS import of the room of ROS imports nothing that needs it."""
+    for line, name in imports(module) if module.name in ROS_FREE else ():
+        is_of_room = name.startswith(f'{PACKAGE}.ros.')
+        if is_of_room and name.rpartition('.')[0] not in ROS_FREE:
+            yield line, f'imports {name}'
+        if name.split('.')[0] in ROS_MODULES | DRIVER_MODULES:
+            yield line, f'imports {name}'
 
 
 def imports_a_stranger(module: Module) -> Iterator[Offence]:
@@ -231,6 +249,7 @@ def has_no_licence(module: Module) -> Iterator[Offence]:
 
 RULES: list[Rule] = [
     imports_against_the_flow,
+    needs_ros_after_all,
     imports_a_stranger,
     imports_a_private_name,
     hides_errors,
@@ -295,6 +314,8 @@ def test_every_room_is_known() -> None:
         (imports_against_the_flow, 'ros/a.py', 'from rpgd_ros.report import html'),
         (imports_against_the_flow, '__init__.py', 'from rpgd_ros.core import calibrate'),
         (imports_against_the_flow, 'apps/simulate.py', 'from rpgd_ros.ros.node import run'),
+        (needs_ros_after_all, 'ros/setup.py', 'from rpgd_ros.ros.declare import declare'),
+        (needs_ros_after_all, 'ros/settings.py', 'def f():\n    import rclpy'),
         (imports_a_stranger, 'session.py', 'import rclpy.node'),
         (imports_a_stranger, 'apps/a.py', 'from sensor_msgs.msg import PointCloud2'),
         (imports_a_stranger, 'core/a.py', 'import scipy'),
@@ -331,6 +352,8 @@ def test_a_rule_sees_its_offence(tmp_path: Path, rule: Rule, place: str, source:
     [
         (imports_against_the_flow, 'apps/calibrator.py', 'from rpgd_ros.ros.node import run'),
         (imports_against_the_flow, 'io/rig.py', 'from rpgd_ros.core import Camera'),
+        (imports_against_the_flow, 'apps/a.py', 'from rpgd_ros.ros.setup import read_setup'),
+        (needs_ros_after_all, 'ros/node.py', 'import rclpy'),
         (imports_a_stranger, 'ros/node.py', 'import rclpy, numpy as np, threading'),
         (hides_errors, 'io/a.py', 'try:\n    f()\nexcept BaseException:\n    g()\n    raise'),
         (hides_errors, 'apps/a.py', 'def main():\n  try:\n    f()\n  except Exception:\n    g()'),

@@ -17,7 +17,13 @@ from typing import Any, get_args
 from rich.console import Console
 from rich.progress import track
 
-from rpgd_ros.apps import bench_honesty, bench_published, bench_solver
+from rpgd_ros.apps import (
+    bench_growth,
+    bench_honesty,
+    bench_published,
+    bench_reading,
+    bench_solver,
+)
 from rpgd_ros.apps.bench_problems import THRESHOLDS_PX
 from rpgd_ros.apps.bench_run import Table, Track, prepare
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
@@ -27,7 +33,8 @@ from rpgd_ros.simulation.presets import OutlierKind
 from rpgd_ros.skeletons import CONVENTIONS
 
 EXIT_DONE, EXIT_BAD_INPUT = 0, 2
-TABLES = ('published', 'solver', 'honesty')
+USUAL = ('published', 'solver', 'honesty')
+TABLES = (*USUAL, 'growth', 'reading')
 KINDS = get_args(OutlierKind)
 PACKAGES = ('numpy', 'opencv-python-headless', 'opencv-python', 'poselib', 'scipy')
 
@@ -38,13 +45,17 @@ Measure the solver on simulated people whose transform is known, and print table
   solver     the default solver beside PoseLib and OpenCV + SciPy: right runs, error against the
              Cramer-Rao bound, time; without and with outliers
   honesty    whether the reported covariance says how far off the pose is
+  growth     time, accuracy and memory from 10^4 to 10^6 frames, in one sequence and in many
+  reading    reading and decoding a bag beside a bare read of its bytes by rosbags
 """
 EPILOG = """\
 examples, with `bench` for `python -m rpgd_ros.apps.bench`, or make bench ARGS='...':
-  bench                                        # all three: eight minutes of two idle processors
+  bench                                        # published, solver, honesty: eight minutes
   bench solver --seeds 20 --kinds mixed --ratios 0.5 0.7
   bench solver --data kinect --frames 300 --solvers rpgd_ros poselib-sub-trunc
   bench solver --data human36m --frames 30000 --seeds 3 --ratios
+  bench growth --frames 10000 100000 300000    # all: an hour and 6 GB
+  bench reading
   bench published --data aistpp --output published.md --json published.json
 Peers are optional: pip install -e '.[bench]'; one that is missing is left out, and said.
 Times are processor times; compare them within one run only. Progress goes to stderr.
@@ -75,13 +86,19 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add('tables', nargs='*', metavar='TABLE', help=f'{", ".join(TABLES)} (default all)')
-    text = 'problems of each kind (default 40; solver 6)'
+    add(
+        'tables',
+        nargs='*',
+        metavar='TABLE',
+        help=f'{", ".join(TABLES)} (default {", ".join(USUAL)})',
+    )
+    text = 'problems of each kind (default 40; solver 6; growth 1)'
     add('--seeds', type=_whole, metavar='N', help=text)
     text = 'the first of them; other seeds are other problems (default 0)'
     add('--first-seed', type=int, default=0, metavar='N', help=text)
-    text = 'frames of each camera; several for solver and honesty (default 300 and 3000; published'
-    add('--frames', type=_whole, nargs='+', metavar='N', help=f'{text} 300)')
+    text = 'frames of each camera; several for all but published (default 300 and 3000; published'
+    text += ' 300; growth 10^4, 10^5 and 10^6)'
+    add('--frames', type=_whole, nargs='+', metavar='N', help=text)
     text = 'datasets to twin (default: those the publication measured; published: kinect, too)'
     add('--data', nargs='+', choices=list(THRESHOLDS_PX), help=text)
     text = 'honesty: conventions of the joints (default h36m17 h36m32)'
@@ -110,7 +127,7 @@ def _whole(text: str) -> int:
 
 
 def _run(arguments: argparse.Namespace, console: Console) -> None:
-    names = arguments.tables or TABLES
+    names = arguments.tables or USUAL
     _check(arguments, names)
     prepare()
 
@@ -153,7 +170,7 @@ def _check(arguments: argparse.Namespace, names: Sequence[str]) -> None:
 
 
 def _measure(name: str, arguments: argparse.Namespace, show: Track) -> Table:
-    n_seeds = arguments.seeds or (6 if name == 'solver' else 40)
+    n_seeds = arguments.seeds or {'solver': 6, 'growth': 1}.get(name, 40)
     seeds = range(arguments.first_seed, arguments.first_seed + n_seeds)
     frames = arguments.frames
     if name == 'published':
@@ -172,6 +189,10 @@ def _measure(name: str, arguments: argparse.Namespace, show: Track) -> Table:
             jobs=arguments.jobs,
             track=show,
         )
+    if name == 'growth':
+        return bench_growth.measure(seeds, frames=frames or bench_growth.FRAMES, track=show)
+    if name == 'reading':
+        return bench_reading.measure(track=show)
     return bench_solver.measure(
         arguments.data or bench_solver.DATA,
         seeds,
