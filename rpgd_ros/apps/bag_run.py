@@ -99,8 +99,10 @@ class BagRun:
         return tuple(found)
 
 
-def read_bag(path: Path, rig: Rig, err: Console, stop: Event) -> BagRun:
-    """Read what a rig needs of a recording.
+def read_bag(
+    path: Path, rig: Rig, err: Console, stop: Event, settings: SessionConfig | None = None
+) -> BagRun:
+    """Read what a rig needs of a recording; settings None = the defaults.
 
     Raises:
         InputError: The bag cannot be used.
@@ -114,7 +116,7 @@ def read_bag(path: Path, rig: Rig, err: Console, stop: Event) -> BagRun:
         counted = {'reading': (recording.n_messages, 'messages')}
         for warning in recording.warnings:
             warn(warning)
-        session = Session(rig, _config(recording))
+        session = Session(rig, _config(recording, settings or SessionConfig()))
         with one_bar(err, stop, counted) as progress:
             replay(recording, session, progress=progress, tell=warn)
         problem = recording.source.problem
@@ -167,6 +169,7 @@ def tell(console: Console, sentence: str) -> None:
     console.print(sentence, markup=False, highlight=False, soft_wrap=True)
 
 
-def _config(recording: Recording) -> SessionConfig:
+def _config(recording: Recording, settings: SessionConfig) -> SessionConfig:
     n_frames = max(recording.n_messages, BufferConfig().max_frames)
-    return SessionConfig(buffer=BufferConfig(max_frames=n_frames, max_age_s=WHOLE_RECORDING_S))
+    buffer = BufferConfig(max_frames=n_frames, max_age_s=WHOLE_RECORDING_S)
+    return replace(settings, buffer=buffer)

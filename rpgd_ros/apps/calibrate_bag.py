@@ -11,15 +11,22 @@ from threading import Event
 
 from rich.console import Console
 
+from rpgd_ros.apps.bag_check import (
+    check_arguments,
+    check_bag,
+    check_json,
+    print_check,
+    read_accepted,
+)
 from rpgd_ros.apps.bag_job import Written
 from rpgd_ros.apps.bag_json import json_of
 from rpgd_ros.apps.bag_outputs import check_outputs, tell_written, write_outputs
-from rpgd_ros.apps.bag_run import BagRun, chosen, read_bag, solve_bag
+from rpgd_ros.apps.bag_run import BagRun, read_bag, solve_bag
+from rpgd_ros.apps.bag_setup import read_setup
 from rpgd_ros.apps.progress import one_bar
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.apps.tables import print_calibration, print_streams
 from rpgd_ros.core.errors import InputError, Reason, RpgdError
-from rpgd_ros.io.rig import read_rig
 
 EXIT_ACCEPTED, EXIT_REFUSED, EXIT_BAD_INPUT, EXIT_PARTIAL, EXIT_BUG = 0, 1, 2, 3, 70
 
@@ -43,9 +50,12 @@ examples:
   calibrate_bag walk/ --rig rig.yaml --report report.html  # look before you trust
   calibrate_bag walk/ --rig rig.yaml --write-rig found.yaml   # cameras without extrinsics
   calibrate_bag walk/ --rig rig.yaml --cameras cam0 cam2   # leave the others out
+  calibrate_bag walk/ --rig rig.yaml --params calibrator.yaml   # with the node's settings
+  calibrate_bag today/ --rig rig.yaml --check result.yaml  # does yesterday's result still fit?
 exit codes:
-  0   accepted
-  1   refused: the data do not give a transform that anybody should use; the reason is named
+  0   accepted; with --check: it still fits
+  1   refused: the data do not give a transform that anybody should use; the reason is named.
+      With --check: it does not fit any more; what was moved is named
   2   bad input: rig file, bag, topics or messages cannot be used
   3   accepted, but from a part of the recording: the bag is damaged
   130 stopped; nothing is left behind
@@ -78,7 +88,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add('bag', type=Path, metavar='BAG', help='folder of a rosbag2, or its .mcap or .db3 file')
-    add('--rig', required=True, type=Path, metavar='RIG.yaml', help='cameras, joints and topics')
+    text = 'cameras, joints and topics (or rig_file in the parameter file)'
+    add('--rig', type=Path, metavar='RIG.yaml', help=text)
+    text = (
+        'parameter file of the node, as config/calibrator.yaml: the same settings as live. Whole '
+        'recordings are kept whatever buffer.* says'
+    )
+    add('--params', type=Path, metavar='CALIBRATOR.yaml', help=text)
+    text = (
+        'solve nothing: compare the recording with this accepted result, name the cameras that no '
+        'longer fit it'
+    )
+    add('--check', type=Path, metavar='RESULT.yaml', help=text)
     text = 'write an accepted result here; an older file is kept beside it, with its date'
     add('--output', type=Path, metavar='RESULT.yaml', help=text)
     text = (
@@ -118,9 +139,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event) -> int:
+    if arguments.check:
+        return _check(arguments, out, err, stop)
     check_outputs(arguments)
-    rig = chosen(read_rig(arguments.rig), arguments.cameras)
-    run = read_bag(arguments.bag, rig, err, stop)
+    rig, settings = read_setup(arguments.rig, arguments.params, arguments.cameras)
+    run = read_bag(arguments.bag, rig, err, stop, settings)
     if not arguments.json:
         print_streams(out, run.streams)
     with one_bar(err, stop) as progress:
@@ -137,6 +160,24 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
     if arguments.json:
         status = 'partial' if run.problem else 'accepted'
         print(json_of(status, code, message=run.problem, run=run, written=written))
+    return code
+
+
+def _check(arguments: argparse.Namespace, out: Console, err: Console, stop: Event) -> int:
+    check_arguments(arguments)
+    rig, settings = read_setup(arguments.rig, arguments.params, arguments.cameras)
+    stored = read_accepted(arguments, rig.world_frame)
+    run = read_bag(arguments.bag, rig, err, stop, settings)
+    if not arguments.json:
+        print_streams(out, run.streams)
+    found = check_bag(run, stored, err)
+    code, status = EXIT_REFUSED, 'does_not_fit'
+    if found.fits:
+        code, status = (EXIT_PARTIAL, 'partial') if run.problem else (EXIT_ACCEPTED, 'fits')
+    if arguments.json:
+        print(check_json(status, code, found, stored, run))
+    else:
+        print_check(out, found, stored)
     return code
 
 

@@ -18,7 +18,7 @@ from rpgd_ros.report import StreamCount
 
 def print_streams(console: Console, streams: Sequence[StreamCount]) -> None:
     """Print what became of the messages of each stream."""
-    table = _table('stream', 'topic', 'messages', 'kept', 'paired', 'dropped, missing joints')
+    table = new_table('stream', 'topic', 'messages', 'kept', 'paired', 'dropped, missing joints')
     for stream in streams:
         rest = ', '.join(f'{n} {reason}' for reason, n in stream.dropped.items())
         paired = '' if stream.paired is None else str(stream.paired)
@@ -37,14 +37,14 @@ def print_calibration(
     console: Console, calibration: Calibration, world_frame: str, mocap_frame: str
 ) -> None:
     """Print the transform, how sure it is, and how each camera agrees with it."""
-    table = _table('camera', 'agree', 'keypoints', 'MPJPE px', 'agreeing px', 'bias px')
+    table = new_table('camera', 'agree', 'keypoints', 'MPJPE px', 'agreeing px', 'bias px')
     for fit in calibration.per_camera.values():
         table.add_row(*_camera_row(fit))
     console.print(table)
     pose, covariance = calibration.world_T_mocap, calibration.covariance
     poses = calibration.camera_poses
     sigma_deg, sigma_m = calibration.worst_sigma
-    table = _table('', '')
+    table = new_table('', '')
     table.show_header = False
     frames = f'{world_frame} <- {mocap_frame}'
     for name, value in (
@@ -76,7 +76,7 @@ def _print_joints(console: Console, calibration: Calibration) -> None:
     """Print where the detector sees the joints, and what nobody can see of that."""
     rows = list(joint_rows(calibration))
     if rows:
-        table = _table(
+        table = new_table(
             'joint', 'seen beside the MoCap by x y z, mm, turning with the body', 'sigma'
         )
         for row in rows:
@@ -89,7 +89,7 @@ def _print_joints(console: Console, calibration: Calibration) -> None:
 
 def _print_poses(console: Console, poses: Mapping[str, CameraPose]) -> None:
     """Print where the cameras stand that had no extrinsics."""
-    table = _table('placed', 'x y z in the world, m', 'sigma deg', 'body mm', 'place mm')
+    table = new_table('placed', 'x y z in the world, m', 'sigma deg', 'body mm', 'place mm')
     for name, pose in poses.items():
         table.add_row(
             name,
@@ -116,7 +116,8 @@ def _numbers(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
     return ' '.join(f'{value:.6f}' for value in values)
 
 
-def _table(*columns: str) -> Table:
+def new_table(*columns: str) -> Table:
+    """Return an empty table as all programs print it: words left, numbers right."""
     table = Table(box=None, pad_edge=False, header_style='bold')
     for i, column in enumerate(columns):
         table.add_column(column, overflow='fold', justify='left' if i < 2 else 'right')

@@ -16,16 +16,19 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from rpgd_ros.core.errors import InputError
-from rpgd_ros.ros.parameters import Parameter, Value, parameters, read_config
+from rpgd_ros.ros.parameters import (
+    FOREIGN_NAMES,
+    FOREIGN_PREFIXES,
+    Parameter,
+    Value,
+    parameters,
+    read_config,
+)
 from rpgd_ros.ros.parameters_text import meaning
 from rpgd_ros.ros.settings import NodeConfig
 
 INT64_MAX = 2**63 - 1
 DOUBLE_MAX = 1.7976931348623157e308
-
-# Declared by rclpy itself, or by a subscription that lets its QoS be overridden.
-FOREIGN_NAMES = ('use_sim_time', 'start_type_description_service')
-FOREIGN_PREFIXES = ('qos_overrides.',)
 
 
 def given_values(node: Node) -> dict[str, object]:

@@ -32,6 +32,9 @@ STAGES = (
     ('refine', 'refine.'),
     ('accept', 'accept.'),
 )
+# Of every node: declared by rclpy itself, or by a subscription that lets its QoS be overridden.
+FOREIGN_NAMES = ('use_sim_time', 'start_type_description_service')
+FOREIGN_PREFIXES = ('qos_overrides.',)
 FROM_RIG = ('world_frame', 'mocap_frame')
 FROM_RIG_PREFIXES = ('mocap.', CAMERA_PREFIX)
 

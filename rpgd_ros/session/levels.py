@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -147,20 +148,43 @@ def levels(sights: Sequence[Sight], world_T_mocap: RigidTransform) -> dict[str, 
     """Return how cameras fit a pose over a recording, for each that has seen enough."""
     found = {}
     for sight in sights:
-        stamp_ns = sight.view.stamp_ns
-        if stamp_ns is None or len(stamp_ns) < MIN_FRAMES:
-            continue
-        number = (stamp_ns - stamp_ns[0]) // round(WINDOW_S * NS_PER_S)
-        windows, biases = [], []
-        for n in np.unique(number):
-            part = sight.at_frames(np.flatnonzero(number == n))
-            _, error_px, shift_px = per_frame(part.camera, part.view, world_T_mocap)
-            running = running_of(error_px, shift_px)
-            if running is not None:
-                windows.append(running)
-                biases.append(_bias_px(_apart(part.camera, part.view, world_T_mocap)))
-        if windows:
-            found[sight.camera.name] = _level(windows, biases)
+        seen = windows(sight, world_T_mocap)
+        if seen:
+            found[sight.camera.name] = _level([w.running for w in seen], [w.bias_px for w in seen])
+    return found
+
+
+class Window(NamedTuple):
+    """A few seconds of one camera.
+
+    Attributes:
+        begin_ns: When they began.
+        running: How the camera fitted.
+        bias_px: See `Level`.
+
+    """
+
+    begin_ns: int
+    running: Running
+    bias_px: float
+
+
+def windows(sight: Sight, world_T_mocap: RigidTransform) -> list[Window]:
+    """Return how a camera fits a pose, window by window, where it has seen enough."""
+    stamp_ns = sight.view.stamp_ns
+    if stamp_ns is None or len(stamp_ns) < MIN_FRAMES:
+        return []
+    length_ns = round(WINDOW_S * NS_PER_S)
+    number = (stamp_ns - stamp_ns[0]) // length_ns
+    found = []
+    for n in np.unique(number):
+        part = sight.at_frames(np.flatnonzero(number == n))
+        _, error_px, shift_px = per_frame(part.camera, part.view, world_T_mocap)
+        running = running_of(error_px, shift_px)
+        if running is not None:
+            bias_px = _bias_px(_apart(part.camera, part.view, world_T_mocap))
+            begin_ns = int(stamp_ns[0]) + int(n) * length_ns
+            found.append(Window(begin_ns, running, bias_px))
     return found
 
 

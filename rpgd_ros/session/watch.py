@@ -161,11 +161,7 @@ class Watch:
         """Return one sentence on all cameras that no longer fit; '' where all do."""
         raised = self.raised
         if len(raised) > 1 and len(raised) > len(self._levels) / 2:
-            return (
-                f'cameras {", ".join(raised)} no longer fit the transform: was the MoCap '
-                'calibrated again or its clock changed, or does somebody else carry the markers? '
-                'Call ~/calibrate'
-            )
+            return f'{common_complaint(raised)} Call ~/calibrate'
         return '; '.join(self._state(name, self._tracks[name]).complaint for name in raised)
 
     def _state(self, name: str, track: _Track) -> CameraState:
@@ -173,7 +169,7 @@ class Watch:
         error_px = math.nan if running is None else running.error_px
         if level is None:
             return CameraState(error_px, math.nan, is_raised=False, complaint='')
-        complaint = _complaint(track, level, running) if track.is_raised else ''
+        complaint = complaint_of(track.camera, level, running) if track.is_raised else ''
         return CameraState(error_px, level.error_px, track.is_raised, complaint)
 
 
@@ -187,8 +183,24 @@ def _lasted_s(since_ns: int | None, now_ns: int) -> float:
     return -1.0 if since_ns is None else (now_ns - since_ns) / NS_PER_S
 
 
-def _complaint(track: _Track, level: Level, running: Running | None) -> str:
-    name = track.camera.name
+def common_complaint(cameras: Sequence[str]) -> str:
+    """Say what most cameras have in common that no longer fit."""
+    return (
+        f'cameras {", ".join(cameras)} no longer fit the transform: was the MoCap calibrated '
+        'again or its clock changed, or does somebody else carry the markers?'
+    )
+
+
+def complaint_of(camera: Camera, level: Level, running: Running | None) -> str:
+    """Say how a camera no longer fits.
+
+    Args:
+        camera: The camera.
+        level: How it did when the pose was accepted.
+        running: How it does; None = it sees nobody.
+
+    """
+    name = camera.name
     if running is None:
         return f'camera {name} no longer fits the transform, and sees nobody now'
     found = (
@@ -196,7 +208,7 @@ def _complaint(track: _Track, level: Level, running: Running | None) -> str:
     )
     shift_px = float(np.linalg.norm(running.shift_px - level.shift_px))
     if shift_px > MOVED_SHARE * running.error_px:
-        turned = math.degrees(math.atan(shift_px / track.camera.focal_px))
+        turned = math.degrees(math.atan(shift_px / camera.focal_px))
         return (
             f'{found}: was it bumped? Its image is shifted by {shift_px:.1f} px ({turned:.2f} deg)'
         )
