@@ -50,6 +50,7 @@ def main() -> int:
     """Write or check the page."""
     parser = argparse.ArgumentParser(description='Write docs/api.md from the docstrings.')
     parser.add_argument('--check', action='store_true', help='only compare, exit 1 if it differs')
+    sys.path.insert(0, str(PAGE.parents[1]))  # of this tree, installed or not
     text = page()
     if parser.parse_args().check:
         if PAGE.is_file() and PAGE.read_text() == text:
