@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node keeps of a stream that does not end, without the middleware's queues."""
+"""What the node keeps of a stream and of solves that do not end, without the middleware."""
 
 from __future__ import annotations
 
 import gc
+import os
 import tracemalloc
 from itertools import count
+from threading import Event
 
+import numpy as np
 import pytest
 from fault_report import Measured
 from ros_scene import Scene, make_scene
-from test_ros_faults_inputs import restamped
+from test_ros_faults_inputs import resident_mib, restamped
 
+from rpgd_ros.core.geometry import Array
 from rpgd_ros.io.rig import read_rig
 from rpgd_ros.pairing import BufferConfig
 from rpgd_ros.ros.drawing import MAX_PATH, PATH_STEP_M, Way
+from rpgd_ros.ros.worker import Worker
 from rpgd_ros.session import Session, SessionConfig, solve
 from rpgd_ros.session.monitor import Monitor, appraise
 
@@ -88,3 +93,22 @@ def test_memory_stays_flat_once_the_stores_are_full(walk: Scene, measured: Measu
     # The way itself is still growing: its places have to be small.
     assert 100 < n_places < MAX_PATH
     assert growth < MIB, f'{n_places} places of {PATH_STEP_M} m'
+
+
+def small_result_of_much_work() -> list[Array]:
+    """Use 64 MiB in small blocks, and keep one in a thousand of them, as a solve does."""
+    return [np.zeros(128) for _ in range(64 * 1024)][::1000]
+
+
+def test_what_a_job_has_freed_goes_back_to_the_system() -> None:
+    """The blocks that live on lie between those that were freed."""
+    worker, kept = Worker(), []
+    before = resident_mib(os.getpid())
+    for _ in range(3):
+        future, is_done = worker.start(small_result_of_much_work, None), Event()
+        future.add_done_callback(lambda _, is_done=is_done: is_done.set())
+        assert is_done.wait(60.0)
+        worker.join()
+        kept.append(future.result())
+    assert len(kept[0]) > 50
+    assert resident_mib(os.getpid()) - before < 10.0

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +19,10 @@ JOIN_SECONDS = 0.3  # the executor has waited before: the thread is gone or does
 # A write of a few hundred KiB takes milliseconds; a disk that needs longer than this is gone.
 WRITE_SECONDS = 10.0
 
+# Of glibc, which keeps what a thread has freed between two blocks that live on. With a solve every
+# 5 s the process grew by 3 to 7 MiB per minute, and by none without solves.
+_TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None) if sys.platform == 'linux' else None
+
 
 def attempt(job: Callable[[], T]) -> T | Exception:
     """Run something at the edge of the node, which lives on whatever it raises.
@@ -29,6 +35,12 @@ def attempt(job: Callable[[], T]) -> T | Exception:
         return job()
     except Exception as error:
         return error
+
+
+def give_back() -> None:
+    """Return to the system what has been freed."""
+    if _TRIM is not None:
+        _TRIM(0)
 
 
 class Worker:
@@ -62,7 +74,9 @@ class Worker:
         future = Future(executor=executor)
 
         def work() -> None:
-            future.set_result(attempt(job))
+            ended = attempt(job)
+            give_back()
+            future.set_result(ended)
             if executor is not None:
                 executor.wake()
 
