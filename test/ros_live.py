@@ -24,6 +24,7 @@ from rpgd_ros.ros.player import Peer, Timed
 
 CALIBRATOR = ['-m', 'rpgd_ros.apps.calibrator']
 WAIT_S = 20.0  # of a machine that does other things too
+MINUTES = 100_000  # steps: at 1 to 2 ms each
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,20 @@ class Live:
         self.peer.listen(f'{NODE}/{topic}', msg_type)
         self.wait_until(f'no {topic}', lambda: self.peer.newest(f'{NODE}/{topic}') is not None)
         return self.peer.newest(f'{NODE}/{topic}')
+
+
+def slow(n_steps: int = MINUTES) -> tuple[str, ...]:
+    """Return parameters of a solve that takes 1 ms or more for each of so many steps.
+
+    The published descent stops nowhere before the last. Where clocks or joint offsets are
+    estimated, it has no part in the solve.
+    """
+    return (
+        'sync.estimate_offset:=off',
+        'refine.joint_offsets:=false',
+        'refine.method:=adam',
+        f'refine.iterations:={n_steps}',
+    )
 
 
 @contextmanager

@@ -15,7 +15,7 @@ import pytest
 from fault_report import Measured, repeats, within
 from geometry_msgs.msg import TransformStamped
 from harness import Child
-from ros_live import WAIT_S, Live, answered_bits, bits, live
+from ros_live import WAIT_S, Live, answered_bits, bits, live, slow
 from ros_scene import Scene, make_scene
 
 from rpgd_ros.io.result_file import read_result
@@ -85,7 +85,7 @@ def test_signal_in_a_computation_is_heeded_at_once(
 ) -> None:
     """The caller hears of it before the node goes, and nothing is written."""
     for n in range(repeats(10, 1)):
-        with live(rig, 'refine.method:=adam', 'refine.iterations:=100000') as node:
+        with live(rig, *slow()) as node:
             node.play(walk)
             called = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
             assert called is not None

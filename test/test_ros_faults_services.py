@@ -19,7 +19,7 @@ from geometry_msgs.msg import TransformStamped
 from harness import ros_environment, running
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from ros_live import CALIBRATOR, WAIT_S, Live, answered_bits, assert_close, bits, live
+from ros_live import CALIBRATOR, WAIT_S, Live, answered_bits, assert_close, bits, live, slow
 from ros_scene import Scene, make_scene
 from std_srvs.srv import Trigger
 
@@ -55,7 +55,7 @@ def rig(walk: Scene, tmp_path: Path) -> Path:
 @pytest.mark.fault(18)
 def test_of_many_callers_at_once_one_is_served(walk: Scene, rig: Path, measured: Measured) -> None:
     """The others hear 'busy' at once, and the result is bit for bit that of a lone call."""
-    with live(rig, 'refine.method:=adam', 'refine.iterations:=1000') as node:
+    with live(rig, *slow(200)) as node:
         node.play(walk)
         success, alone = node.calibrate()
         assert success, alone
@@ -82,8 +82,7 @@ def test_parameters_are_set_while_a_calibration_runs(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:
     """Each change is answered at once; the run keeps what it began with, the next one does not."""
-    slow = ('refine.method:=adam', 'refine.iterations:=5000')
-    with live(rig, *slow) as node:
+    with live(rig, *slow(1000)) as node:
         node.play(walk)
         called = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
         assert called is not None

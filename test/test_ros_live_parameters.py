@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterDescriptor, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
-from ros_live import WAIT_S, Live, live
+from ros_live import WAIT_S, Live, live, slow
 from ros_scene import Scene, make_scene
 
 from rpgd_ros.ros.client import NODE
@@ -126,8 +126,7 @@ def test_parameters_are_answered_while_a_calibration_runs(walk: Scene, tmp_path:
     """A run of seconds does not stop the executor's thread; it keeps its own settings."""
     rig = tmp_path / 'rig.yaml'
     rig.write_bytes(walk.rig.read_bytes())
-    slow = ('refine.method:=adam', 'refine.iterations:=100000', 'max_seconds:=6.0')
-    with live(rig, *slow) as running:
+    with live(rig, *slow(), 'max_seconds:=6.0') as running:
         running.play(walk)
         called = running.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
         assert called is not None

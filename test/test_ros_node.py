@@ -12,7 +12,7 @@ import pytest
 import yaml
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from harness import ros_environment, running
-from ros_live import WAIT_S, assert_close, live
+from ros_live import WAIT_S, assert_close, live, slow
 from ros_scene import MOCAP_FRAME, WORLD_FRAME, Scene, make_scene
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
@@ -98,8 +98,7 @@ def test_refusals_name_their_reason(tmp_path: Path) -> None:
 @pytest.mark.fault(18)
 def test_second_caller_hears_busy_at_once(walk: Scene, rig: Path) -> None:
     """One run at a time; the second call does not wait for the first."""
-    slow = ('refine.method:=adam', 'refine.iterations:=100000', 'max_seconds:=3.0')
-    with live(rig, *slow) as node:
+    with live(rig, *slow(), 'max_seconds:=3.0') as node:
         node.play(walk)
         first = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
         assert first is not None

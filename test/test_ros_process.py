@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 from harness import ros_environment, running
-from ros_live import CALIBRATOR, WAIT_S, live
+from ros_live import CALIBRATOR, WAIT_S, live, slow
 from ros_scene import Scene, make_scene
 
 from rpgd_ros.ros.client import NODE
@@ -153,7 +153,7 @@ def test_signal_ends_the_node_cleanly(walk: Scene, number: signal.Signals) -> No
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_a_running_calibration(walk: Scene, number: signal.Signals) -> None:
     """The caller hears of it, and the process does not outlast two seconds."""
-    with live(walk.rig, 'refine.method:=adam', 'refine.iterations:=100000') as node:
+    with live(walk.rig, *slow()) as node:
         node.play(walk)
         called = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
         assert called is not None
