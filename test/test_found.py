@@ -43,7 +43,8 @@ def test_the_terminal_shows_each_finding_with_its_sigma() -> None:
         'cam0 focal length': '+1.10 +- 0.05 % longer than given',
         'cam1 focal length': '-0.01 +- 0.05 % longer than given',
         'skeleton': '+2.00 +- 0.10 % larger than given',
-        'cam1 was moved': '0.50 +- 0.02 deg, 13 +- 2 mm',
+        'MoCap frame drifts': '0.20 +- 0.01 deg and 12 +- 1 mm a minute',
+        'cam1 was moved': '0.50 +- 0.02 deg, 13 +- 2 mm, 9.5 s after the begin',
         'cam0 or cam1 was moved': '0.50 +- 0.02 deg, 13 +- 2 mm',
         'cam0 shows it': 'shown in 93 % of 300 frames',
     }
@@ -90,6 +91,8 @@ def test_diagnostics_have_every_finding_under_a_key_with_its_unit() -> None:
     assert values['joint_offset_mm left_hip'] == '10.0 -20.0 3.0'
     assert values['joint_offset_sigma_mm left_hip'] == '1.0 1.0 4.0'
     assert values['moved_mm cam1'] == pytest.approx(13.0)
+    assert values['moved_since_s cam1'] == pytest.approx(9.5)
+    assert values['drift_mm_per_min'] == pytest.approx(12.0)
     assert values['shown_percent cam0'] == pytest.approx(100 * 280 / 300)
 
 
@@ -97,7 +100,7 @@ def test_nothing_that_was_not_asked_for_has_a_key_or_a_line() -> None:
     """Absence is told by absence, never by a zero."""
     nothing = full(
         time_offset_s={}, clock_rate={}, focal_error={}, skeleton_scale=None, joint_offset_m={},
-        disagreements=(), shown={},
+        disagreements=(), shown={}, drift=None,
     )  # fmt: skip
     assert found_figures(nothing) == {}
     assert list(found_rows(nothing)) == []
@@ -119,16 +122,17 @@ def test_the_page_has_a_section_for_what_else_was_found(tmp_path: Path) -> None:
     calibration = replace(
         case.calibration,
         time_offset_s=c.time_offset_s, clock_rate=c.clock_rate, focal_error=c.focal_error,
-        skeleton_scale=c.skeleton_scale, shown=c.shown,
+        skeleton_scale=c.skeleton_scale, shown=c.shown, drift=c.drift,
         joint_offset_m={joint: c.joint_offset_m['left_hip']},
     )  # fmt: skip
-    write_report(tmp_path / 'r.html', replace(case, calibration=calibration))
+    verdict = write_report(tmp_path / 'r.html', replace(case, calibration=calibration))
+    assert 'the MoCap frame drifts by 12' in verdict.headline
     page = (tmp_path / 'r.html').read_text().replace('\N{NO-BREAK SPACE}', ' ')
     section = page[page.index('id="found"') : page.index('id="time"')]
     for text in (
         'What else was found', 'focal length of cam0', '+1.10 %', 'size of the skeleton',
         '+2.00 %', '41.20 ms', '25.0 ± 1.0 µs/s', 'cannot be seen', '93.3 %',
-        '+10, \N{MINUS SIGN}20, +3', '1.0, 1.0, 4.0',
+        '12.0 mm', 'creeps', '+10, \N{MINUS SIGN}20, +3', '1.0, 1.0, 4.0',
     ):  # fmt: skip
         assert text in section, text
     assert 'id="joint-offsets"' in section

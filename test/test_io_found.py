@@ -18,6 +18,7 @@ from test_io_result_file import STAMP_NS, make_calibration, save
 
 from rpgd_ros.core import Calibration, InputError, Reason
 from rpgd_ros.core.agreement import Disagreement
+from rpgd_ros.core.drift import Drift
 from rpgd_ros.core.findings import JointOffset
 from rpgd_ros.core.persons import Shown
 from rpgd_ros.io.found import FOUND, StoredLevel
@@ -35,9 +36,10 @@ def full(**changes: Any) -> Calibration:
         'skeleton_scale': (0.02, 0.001),
         'joint_offset_m': {'left_hip': JointOffset((0.01, -0.02, 0.003), (0.001, 0.001, 0.004))},
         'disagreements': (
-            Disagreement('cam1', 0.5, 0.013, 0.02, 0.002, 41.0),
+            Disagreement('cam1', 0.5, 0.013, 0.02, 0.002, 41.0, since_s=9.5),
             Disagreement('cam0', 0.5, 0.013, 0.02, 0.002, 3.0, 'cam1'),
         ),
+        'drift': Drift(0.2, 12.0, 0.01, 0.8, 30.0, 60.0),
         'shown': {'cam0': Shown(300, 280, 900)},
         **changes,
     }
@@ -123,6 +125,8 @@ def test_what_has_no_number_is_left_out(tmp_path: Path) -> None:
         ('joint_offset_m.left_hip.sygma', [1, 2], 'unknown key .sygma., did you mean sigma'),
         ('shown.cam0.frames', -1, r'shown\.cam0\.frames: need an integer from 0'),
         ('levels.cam0.error_px', -1.0, r'levels\.cam0\.error_px: -1 is outside'),
+        ('drift', [1], 'drift: need a mapping'),
+        ('drift.mm_per_min', 'x', r'drift\.mm_per_min: need a number'),
         ('disagreements', {}, 'disagreements: need a list'),
     ],
 )

@@ -35,10 +35,16 @@ def found_rows(c: Calibration) -> Iterator[Row]:
             'skeleton',
             f'{PERCENT * error:+.2f} +- {PERCENT * sigma:.2f} % larger than given',
         )
+    if c.drift is not None:
+        turn = f'{c.drift.deg_per_min:.2f} +- {c.drift.sigma_deg_per_min:.2f} deg'
+        way = f'{c.drift.mm_per_min:.0f} +- {c.drift.sigma_mm_per_min:.0f} mm'
+        yield 'MoCap frame drifts', f'{turn} and {way} a minute'
     for d in c.disagreements:
         who = d.camera if d.rival is None else f'{d.camera} or {d.rival}'
         turned = f'{d.rotation_deg:.2f} +- {d.sigma_deg:.2f} deg'
-        yield f'{who} was moved', f'{turned}, {MM * d.shift_m:.0f} +- {MM * d.sigma_m:.0f} mm'
+        when = '' if d.since_s is None else f', {d.since_s:.1f} s after the begin'
+        shift = f'{MM * d.shift_m:.0f} +- {MM * d.sigma_m:.0f} mm'
+        yield f'{who} was moved', f'{turned}, {shift}{when}'
     for camera, shown in c.shown.items():
         yield (
             f'{camera} shows it',

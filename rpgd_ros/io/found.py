@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from rpgd_ros.core.agreement import Disagreement
+from rpgd_ros.core.drift import Drift
 from rpgd_ros.core.findings import JointOffset
 from rpgd_ros.core.persons import Shown
 from rpgd_ros.core.result import Calibration
@@ -17,7 +18,9 @@ from rpgd_ros.io.strict import Node
 Pair = tuple[float, float]  # value and standard deviation
 
 PAIRS: Final = ('time_offset_s', 'clock_rate', 'focal_error')  # by camera
-FOUND: Final = (*PAIRS, 'skeleton_scale', 'joint_offset_m', 'disagreements', 'shown', 'levels')
+FOUND: Final = (
+    *(*PAIRS, 'skeleton_scale', 'joint_offset_m', 'drift', 'disagreements', 'shown', 'levels'),
+)
 MAX_COUNT: Final = 2**53
 # Of a contradiction.
 NUMBERS: Final = ('rotation_deg', 'shift_m', 'sigma_deg', 'sigma_m', 'excess')
@@ -53,6 +56,7 @@ class Found:
         focal_error: (error, sigma) by camera: share by which the given focal length is too short.
         skeleton_scale: (error, sigma): share by which the skeleton is too small.
         joint_offset_m: Where the detector sees each joint, by joint.
+        drift: How fast the transform changes; None where it does not.
         disagreements: Cameras that contradicted the others.
         shown: How much of each video shows the persons with MoCap, by camera.
         levels: How each camera fitted.
@@ -64,6 +68,7 @@ class Found:
     focal_error: Mapping[str, Pair] = field(default_factory=dict)
     skeleton_scale: Pair | None = None
     joint_offset_m: Mapping[str, JointOffset] = field(default_factory=dict)
+    drift: Drift | None = None
     disagreements: tuple[Disagreement, ...] = ()
     shown: Mapping[str, Shown] = field(default_factory=dict)
     levels: Mapping[str, StoredLevel] = field(default_factory=dict)
@@ -80,6 +85,7 @@ def found_tree(c: Calibration, levels: Mapping[str, StoredLevel]) -> dict[str, A
             for name, found in c.joint_offset_m.items()
             if _is_finite(*found.offset_m, *found.sigma_m)
         },
+        'drift': None if c.drift is None else c.drift._asdict(),
         'disagreements': [asdict(d) for d in c.disagreements],
         'shown': {
             name: {**shown._asdict(), 'share': shown.share} for name, shown in c.shown.items()
@@ -98,7 +104,7 @@ def read_found(top: Mapping[str, Node]) -> Found:
         InputError: The message names file, key, what was found and what is needed.
 
     """
-    scale = top.get('skeleton_scale')
+    scale, drift = top.get('skeleton_scale'), top.get('drift')
     contradictions = top['disagreements'].sequence() if 'disagreements' in top else []
     return Found(
         time_offset_s=_pairs(top, 'time_offset_s'),
@@ -106,6 +112,7 @@ def read_found(top: Mapping[str, Node]) -> Found:
         focal_error=_pairs(top, 'focal_error'),
         skeleton_scale=None if scale is None or scale.value is None else _pair(scale),
         joint_offset_m={name: _joint(node) for name, node in _items(top, 'joint_offset_m')},
+        drift=None if drift is None or drift.value is None else _drift(drift),
         disagreements=tuple(_disagreement(node) for node in contradictions),
         shown={name: _shown(node) for name, node in _items(top, 'shown')},
         levels={name: _level(node) for name, node in _items(top, 'levels')},
@@ -140,12 +147,18 @@ def _joint(node: Node) -> JointOffset:
     return JointOffset((x, y, z), (a, b, c))
 
 
+def _drift(node: Node) -> Drift:
+    parts = node.mapping(Drift._fields)
+    return Drift(*(_number(parts[key]) for key in Drift._fields))
+
+
 def _disagreement(node: Node) -> Disagreement:
-    parts = node.mapping(('camera', *NUMBERS), ('rival',))
-    rival = parts.get('rival')
+    parts = node.mapping(('camera', *NUMBERS), ('rival', 'since_s'))
+    rival, since = parts.get('rival'), parts.get('since_s')
     return Disagreement(
         camera=parts['camera'].text(),
         rival=None if rival is None or rival.value is None else rival.text(),
+        since_s=None if since is None or since.value is None else since.number(0.0),
         **{key: _number(parts[key]) for key in NUMBERS},
     )
 

@@ -41,7 +41,7 @@ def settle(
     config = CalibrationConfig(ransac=c.config.ransac, accept=c.config.accept)
     config = replace(config, rig=replace(config.rig, on_bumped_camera='name'))
     excluded = {d.camera for d in c.disagreements if d.rival is None}
-    if c.config.rig.on_bumped_camera != 'exclude':
+    if c.config.rig.on_bumped_camera == 'name':
         excluded = set()
     found = []
     for i, (seconds, part) in enumerate(_parts(observations)):

@@ -35,8 +35,24 @@ def beside(measured: Measured) -> Section | None:
     c = measured.case.calibration
     if c is None or not measured.looks:
         return None
-    blocks = [*lenses(c), *clocks(c), *joint_offsets(c), *persons(c)]
+    blocks = [*creep(c), *lenses(c), *clocks(c), *joint_offsets(c), *persons(c)]
     return Section('found', 'What else was found', tuple(blocks)) if blocks else None
+
+
+def creep(c: Calibration) -> Iterator[Block]:
+    """Yield how fast the MoCap frame moves through the room, where it does."""
+    d = c.drift
+    if d is None:
+        return
+    yield Text(
+        'The MoCap frame creeps through the room, as those of inertial suits do. The transform is '
+        'that of mid-recording.'
+    )
+    rows = (
+        ('rotation', number(d.deg_per_min, 3, '°'), number(d.sigma_deg_per_min, 3, '°')),
+        ('position', number(d.mm_per_min, 1, 'mm'), number(d.sigma_mm_per_min, 1, 'mm')),
+    )
+    yield Table(('drift', 'a minute', 'sigma'), rows, marked=frozenset({0, 1}))
 
 
 def lenses(c: Calibration) -> Iterator[Block]:
@@ -101,7 +117,15 @@ def placed(measured: Measured) -> Section | None:
         for name, pose in c.camera_poses.items()
     )
     head = ('camera', 'x, y, z in the world, m', 'rotation to', 'at the body to', 'its place to')
+    moved = {d.camera for d in c.disagreements} & c.camera_poses.keys()
     text = 'These cameras had no extrinsics. The walk told where they are.'
+    if moved:
+        text = (
+            f'Where cameras are that were moved: {", ".join(sorted(moved))}. The walk told; the '
+            'rig file has their old places.'
+        )
+        if moved != c.camera_poses.keys():
+            text += ' The others had no extrinsics.'
     return Section('placed', 'Placed cameras', (Text(text), Table(head, rows)))
 
 

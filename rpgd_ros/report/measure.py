@@ -144,7 +144,7 @@ class Measured:
     def used(self) -> tuple[Look, ...]:
         """Of the cameras that the transform was found from; all, where it was from none."""
         c = self.case.calibration
-        if c is None or c.config.rig.on_bumped_camera != 'exclude':
+        if c is None or c.config.rig.on_bumped_camera == 'name':
             return self.looks
         excluded = {d.camera for d in c.disagreements if d.rival is None}
         return tuple(k for k in self.looks if k.camera.name not in excluded) or self.looks

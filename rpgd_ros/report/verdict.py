@@ -154,18 +154,16 @@ def _doubts(measured: Measured, c: Calibration) -> Iterator[str]:
     if n_swapped >= MIN_SWAPPED_PAIRS:
         yield f'left and right are swapped in {n_swapped} pairs of joints'
     for d in c.disagreements:
+        when = '' if d.since_s is None else f' at {number(d.since_s, 1, "s")}'
+        by = f'by {number(d.rotation_deg)}° and {number(1000 * d.shift_m, 0, "mm")}{when}'
         if d.rival:
             yield f'{d.camera} and {d.rival} contradict each other: one of them was moved'
-        elif c.config.rig.on_bumped_camera == 'exclude':
-            yield (
-                f'without {d.camera}: it was moved by {number(d.rotation_deg)}° and '
-                f'{number(1000 * d.shift_m, 0, "mm")}'
-            )
+        elif c.config.rig.on_bumped_camera == 'name':
+            yield f'{d.camera} was moved {by}'
         else:
-            yield (
-                f'{d.camera} was moved by {number(d.rotation_deg)}° and '
-                f'{number(1000 * d.shift_m, 0, "mm")}'
-            )
+            yield f'without {d.camera}: it was moved {by}'
+    if c.drift is not None:
+        yield f'the MoCap frame drifts by {number(c.drift.mm_per_min, 0, "mm")} a minute'
     for name, share in measured.lost.items():
         if name not in measured.moved:
             yield _lost(measured, name, share)
@@ -190,6 +188,8 @@ def _places(measured: Measured) -> Iterator[Link]:
     c = case.calibration
     for d in c.disagreements if c else ():
         yield Link(said_of(d), camera_key(measured, d.camera))
+    if c is not None and c.drift is not None:
+        yield Link('How fast the MoCap frame drifts', 'found')
     for name, share in measured.lost.items():
         if name in measured.moved:
             continue

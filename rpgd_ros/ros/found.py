@@ -32,9 +32,16 @@ def _figures(c: Calibration) -> Iterator[tuple[str, object]]:
     for joint, (offset_m, sigma_m) in c.joint_offset_m.items():
         yield f'joint_offset_mm {joint}', _millimetres(offset_m)
         yield f'joint_offset_sigma_mm {joint}', _millimetres(sigma_m)
+    if c.drift is not None:
+        yield 'drift_deg_per_min', float(c.drift.deg_per_min)
+        yield 'drift_sigma_deg_per_min', float(c.drift.sigma_deg_per_min)
+        yield 'drift_mm_per_min', float(c.drift.mm_per_min)
+        yield 'drift_sigma_mm_per_min', float(c.drift.sigma_mm_per_min)
     for d in c.disagreements:
         yield f'moved_deg {d.camera}', float(d.rotation_deg)
         yield f'moved_mm {d.camera}', MM * float(d.shift_m)
+        if d.since_s is not None:
+            yield f'moved_since_s {d.camera}', float(d.since_s)
     for camera, shown in c.shown.items():
         yield f'shown_percent {camera}', PERCENT * shown.share
 
