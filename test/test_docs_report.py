@@ -37,7 +37,7 @@ def test_every_command_of_the_page_runs(
     tree = json.loads(capsys.readouterr().out.rpartition('\n{\n')[2].join(['{', '']))
     assert tree['status'] == 'accepted'
     assert {path.name for path in tmp_path.iterdir()} == {
-        'demo', 'report.html', 'overlay', 'walk.mp4', 'annotated.mcap'
+        'demo', 'report.html', 'overlay', 'walk.mp4', 'annotated.mcap', 'result.yaml'
     }  # fmt: skip
     assert len(list((tmp_path / 'overlay').glob('cam0_*.jpg'))) == 50
 

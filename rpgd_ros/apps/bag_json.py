@@ -46,6 +46,7 @@ def json_of(
         ],
         'files': {what: str(path) for what, path in written or ()},
         'result': None,
+        'check': None,
     }
     if run is not None and run.calibration is not None and run.refusal is None:
         world_frame, mocap_frame = run.frames
