@@ -28,7 +28,7 @@ class Panel:
     Attributes:
         title: What is measured, with its unit.
         lines: (N,) values by what is compared, in the order of `STYLES`; NaN = none.
-        levels: Constants that are drawn across, by what is compared.
+        levels: Published means that are drawn across, by what is compared.
 
     """
 
@@ -81,10 +81,11 @@ def write_plots(path: Path, title: str, names: Sequence[str], panels: Sequence[P
             )  # fmt: skip
             shown.add(label)
             if label in panel.levels:
-                page.add_hline(
-                    panel.levels[label], line={'color': colour, 'dash': 'dot', 'width': 1},
-                    annotation_text=f'{label}, published', annotation_font_color=colour,
-                    row=row, col=1,
+                name = f'{label}, published'
+                page.add_scatter(
+                    x=[0.5, len(names) + 0.5], y=[panel.levels[label]] * 2, name=name,
+                    mode='lines', line={'color': colour, 'dash': 'dot', 'width': 1},
+                    hovertemplate=f'{name}: %{{y:.4g}}<extra></extra>', row=row, col=1,
                 )  # fmt: skip
         # Ten times the error is one step up, whatever the method.
         page.update_yaxes(type='log', row=row, col=1)
