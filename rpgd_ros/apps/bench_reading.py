@@ -129,5 +129,6 @@ def _lines(rows: Sequence[dict[str, Any]]) -> Iterator[list[str]]:
         ratio = best['decoded'] / best['bare']
         yield [
             storage, str(n_messages), *(figure(1e6 * best[h] / n_messages) for h in best),
-            figure(ratio), figure(best['stored'] / best['bare']), 'holds' if ratio <= MOST else 'does NOT hold',
+            figure(ratio), figure(best['stored'] / best['bare']),
+            'holds' if ratio <= MOST else 'does NOT hold',
         ]  # fmt: skip
