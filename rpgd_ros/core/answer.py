@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from rpgd_ros.core.covariance import larger
 from rpgd_ros.core.geometry import Array
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ class Answer:
     @classmethod
     def of(
         cls, system: System, columns: slice, precision: Array, value: Array,
-        *, prior: float, least: float, lasting: bool = False,
+        *, prior: float, least: float,
     ) -> Self:  # fmt: skip
         """Ask the sums of a solve that has the numbers among its unknowns.
 
@@ -59,7 +58,6 @@ class Answer:
             value: (p,) present values of those with a prior.
             prior: See the attribute.
             least: See the attribute.
-            lasting: Whether errors of a detector that last may look alike.
 
         """
         step, _ = system.step(precision, value)
@@ -67,8 +65,6 @@ class Answer:
         own = np.linalg.inv(inverse[columns, columns])
         error = step[columns]
         covariance = system.covariance(precision)
-        if lasting:
-            covariance = larger(covariance, system.covariance_over_time(precision))
         return cls(
             error, covariance[columns, columns], inverse[:6, columns] @ own,
             0.5 * float(error @ own @ error), prior, least,

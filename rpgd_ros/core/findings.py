@@ -104,14 +104,20 @@ class Findings:
             drift = None
         if drift is not None:
             told = [*details.warnings, drift.sentence()]  # it bends what was said of the rest
+        focal_error = details.focal.error
+        found_size = None if size is None else (float(size.error[0]), float(size.sigma[0]))
+        if explained is not None:  # several steps know better than one
+            focal_error = explained.state.focal if explained.unknowns.focal else focal_error
+            if found_size is not None and explained.unknowns.with_scale:
+                found_size = (explained.state.scale, found_size[1])
         return cls(
             systematic,
             (system, precision),
             _known(names, state.offset_s, sigma[unknowns.offsets], unknowns.offset),
             _known(names, state.rate, sigma[unknowns.rates], unknowns.rate),
             joints,
-            _known(names, details.focal.error, details.focal.sigma, range(len(names))),
-            None if size is None else (float(size.error[0]), float(size.sigma[0])),
+            _known(names, focal_error, details.focal.sigma, range(len(names))),
+            found_size,
             drift,
             tuple(told),
         )

@@ -92,7 +92,6 @@ class Questions:
             value,
             prior=SIZE_PRIOR,
             least=LEAST_SIZE,
-            lasting=True,
         )
 
     def _with(
