@@ -19,7 +19,7 @@ from pages import PAGES, ROOT, all_commands, anchors, blocks, commands, name_of
 from shoot import Shoot, make_shoot
 from shoot_files import write_bvh, write_labels, write_openpose, write_trc
 
-from rpgd_ros.apps import calibrate_bag, import_recording, simulate
+from rpgd_ros.apps import calibrate_bag, evaluate, import_recording, simulate
 from rpgd_ros.core import Camera, RigidTransform
 from rpgd_ros.core.geometry import Array, nearest_rotation, rotation_angle, so3_exp
 from rpgd_ros.importing.plan import ORDERS
@@ -29,8 +29,10 @@ from rpgd_ros.skeletons import match_joints
 PROGRAMS = {
     'simulate': simulate.main,
     'calibrate_bag': calibrate_bag.main,
+    'evaluate': evaluate.main,
     'import_recording': import_recording.main,
 }
+LIBRARIES = ('plotly', 'jinja2', 'scipy', 'cdflib')  # of the extras that the pages install
 # Not run here: `make` and `colcon` are in test_packaging.py, `ros2` in test_ros_docs.py.
 OTHERS = frozenset({'make', 'ros2', 'git', 'cd', 'mkdir', 'pip', 'rosdep', 'colcon', 'source'})
 RUN_ELSEWHERE = {'docs/report.md': 'test_docs_report.py'}
@@ -55,8 +57,10 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def prepare(page: str, folder: Path, studio: Path) -> None:
     """Put into a folder what the reader of a page has at hand."""
     if page == 'README.md':
-        shutil.copytree(studio / 'bag', folder / 'walk')
-        shutil.copy(studio / 'rig.yaml', folder / 'rig.yaml')
+        for recorded in ('walk', 'today'):
+            shutil.copytree(studio / 'bag', folder / recorded)
+        shutil.copy(studio / 'rig.yaml', folder)
+        shutil.copy(ROOT / 'config' / 'calibrator.yaml', folder)
     elif page in {'docs/tutorial_files.md', 'docs/import.md'}:
         write_project(folder, make_shoot(seconds=6.0))
         write_kinect(folder, make_shoot('kinect'))
@@ -94,18 +98,12 @@ def write_kinect(folder: Path, shoot: Shoot) -> None:
 
 def run_page(page: Path) -> None:
     """Run the offline commands of a page one after the other, in the present folder."""
-    written: set[str] = set()
     for command in commands(page):
+        words = list(command.words[1:])
         if command.program == 'cp':
-            shutil.copy(*command.words[1:])
+            shutil.copy(*words)
         if command.program in PROGRAMS:
-            words = list(command.words[1:])
-            output = words[words.index('--output') + 1] if '--output' in words else ''
-            # What a page makes in two ways is made twice.
-            if output in written and command.program != 'calibrate_bag':
-                words.append('--force')
             assert PROGRAMS[command.program](words) == command.exit_code, command.words
-            written |= {output} if '--dry-run' not in words else set()
 
 
 @pytest.mark.parametrize('page', RUN, ids=name_of)
@@ -113,8 +111,8 @@ def test_offline_commands_of_a_page_run_as_they_stand(
     page: Path, studio: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One after the other in an empty folder, with the exit code that the page gives."""
-    pytest.importorskip('plotly')
-    pytest.importorskip('jinja2')
+    for library in LIBRARIES:
+        pytest.importorskip(library)
     prepare(name_of(page), tmp_path, studio)
     monkeypatch.chdir(tmp_path)
     run_page(page)
@@ -172,8 +170,8 @@ def test_tutorial_of_files_finds_the_transform_of_recorded_footage(
     recording: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Pose2Sim's own demo recording in its layout; the skeleton is moved by a known transform."""
-    pytest.importorskip('plotly')
-    pytest.importorskip('jinja2')
+    for library in LIBRARIES:
+        pytest.importorskip(library)
     data = np.load(recording('pose2sim_balancing.npz'), allow_pickle=False)
     truth = RigidTransform(so3_exp([0.3, -0.2, 1.0]), np.array([0.4, -0.6, 0.2]))
     names = tuple(str(name) for name in data['joint_names'])

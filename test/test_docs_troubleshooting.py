@@ -5,15 +5,18 @@ from __future__ import annotations
 
 import ast
 import re
+from dataclasses import fields
 from functools import cache
 
 import pytest
-from pages import ROOT
+from pages import PAGES, ROOT
 
-from rpgd_ros.core import Reason
+from rpgd_ros.core import Calibration, CalibrationConfig, Reason
+from rpgd_ros.core.config import settings_of
 from rpgd_ros.messages import NO_HEADER
 from rpgd_ros.messages.layout import Drop
 from rpgd_ros.pairing import JointStream, PairCounts
+from rpgd_ros.ros.parameters import parameters
 
 PAGE = (ROOT / 'docs' / 'troubleshooting.md').read_text()
 # Functions whose sentences reach people as warnings or health, and how many they say at least.
@@ -39,6 +42,7 @@ SILENT = (
     'give --keypoint-units', 'no shares of the image', 'focal length of camera {} looks',
     'all keypoints are missing',
 )  # fmt: skip
+STAGES = ('ransac', 'refine', 'time', 'rig', 'accept')
 TABLES = ('Warnings of a calibration', 'Inputs, in /diagnostics', 'Attention: the watch')
 
 
@@ -142,3 +146,38 @@ def test_every_program_of_the_page_of_the_method_exists() -> None:
         source = (core / f'{module}.py').read_text()
         assert name == 'py' or re.search(rf'^def {name}\(', source, re.MULTILINE), name
     assert [int(n) for n in re.findall(r'\\tag\{(\d)\}', text)] == list(range(1, 8))
+
+
+def test_parameters_that_the_pages_name_exist() -> None:
+    """`stage.name` is a parameter of the node, or a setting from Python."""
+    known = {p.name for p in parameters(['cam0'])}
+    config = CalibrationConfig()
+    for f in fields(config):
+        stage = getattr(config, f.name)
+        if f.name in STAGES:
+            known |= {f'{f.name}.{s.name}' for s, _ in settings_of(stage)}
+    written = re.compile(rf'`((?:{"|".join(STAGES)}|sync|buffer|auto)\.[a-z_]+)\b(?!\.)')
+    for page in PAGES:
+        named = set(written.findall(page.read_text())) - {'rig.yaml'}
+        assert {name for name in named - known if not is_function(name)} == set(), page.name
+
+
+def is_function(name: str) -> bool:
+    """Whether `module.name` is a function of the core."""
+    module, _, function = name.partition('.')
+    path = ROOT / 'rpgd_ros' / 'core' / f'{module}.py'
+    return path.is_file() and f'\ndef {function}(' in path.read_text()
+
+
+def test_what_the_pages_name_of_a_calibration_is_there() -> None:
+    """Attributes of the result, and what CONTRIBUTING.md tells people to change."""
+    attributes = {f.name for f in fields(Calibration)}
+    trust = (ROOT / 'docs' / 'trust.md').read_text()
+    named = {'covariance', 'covariance_over_time', 'joint_offset_m', 'time_offset_s', 'clock_rate',
+             'focal_error', 'skeleton_scale', 'disagreements', 'drift'}  # fmt: skip
+    assert named <= attributes & set(re.findall(r'`(\w+)`', trust))
+    files = [p for folder in ('rpgd_ros', 'test') for p in (ROOT / folder).rglob('*.py')]
+    sources = '\n'.join(path.read_text() for path in files)
+    contributing = (ROOT / 'CONTRIBUTING.md').read_text()
+    for name in re.findall(r'`(\w{4,})(?:\([^`]*)?`', contributing):
+        assert re.search(rf'\b{name}\b', sources), name
