@@ -160,6 +160,8 @@ def _alone(sight: Sight, pose: RigidTransform, centroid_mocap: Array) -> _Opinio
     few = thin([sight], 0, budget([sight], ALONE_POINTS))
     try:
         pool = make_pool(few, ALONE_POOL, np.random.default_rng(0))
+        if len(pool) < MIN_JOINTS:
+            return None
         near = polish(pool, pose)
         noise = noise_at(few, near.world_T_mocap)
     except CalibrationError:

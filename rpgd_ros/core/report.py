@@ -45,10 +45,7 @@ def report(
     """Collect the figures, cameras in the caller's order."""
     counts = descent.examination.tally
     n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())
-    variance = 1.0
-    if isinstance(loss, SquaredLoss) and n > 3:
-        # Per axis: the squared loss is a log likelihood only when divided by the variance.
-        variance = max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
+    variance = _variance(descent, loss, n)
     names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
     if details is None:
         noise = loss if isinstance(loss, NoiseModel) else noise_at(sights, descent.pose)
@@ -60,9 +57,9 @@ def report(
         systematic=findings.systematic,
     )  # fmt: skip
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
-    contradicting = _contradicting(sights, descent, details, centroid)
-    if findings.drift is not None:
-        contradicting = [d for d in contradicting if d.since_s is None]
+    contradicting = _contradicting(
+        sights, descent, details, centroid, with_dates=findings.drift is None
+    )
     by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
     return Calibration(
         world_T_mocap=descent.pose,
@@ -92,9 +89,20 @@ def report(
     )
 
 
+def _variance(descent: Descent, loss: Loss, n: int) -> float:
+    """Factor of the loss to a log likelihood: 1 for a fitted one.
+
+    The squared loss is a log likelihood only when divided by the variance per axis.
+    """
+    if not isinstance(loss, SquaredLoss) or n <= 3:
+        return 1.0
+    return max(2.0 * descent.examination.cost / (2 * n - 6), ROUNDING_PX2)
+
+
 def _contradicting(
-    sights: Sequence[Sight], descent: Descent, details: Details | None, centroid: Array
-) -> list[Disagreement]:
+    sights: Sequence[Sight], descent: Descent, details: Details | None, centroid: Array,
+    *, with_dates: bool,
+) -> list[Disagreement]:  # fmt: skip
     """Name the cameras that contradict the others, not counting what has a common cause.
 
     The focal length of one camera alone is none: it may as well be what is left of its move.
@@ -108,7 +116,7 @@ def _contradicting(
         state, _, noise = explained
         sights = details.problem.scene(state).sights
         descent = appraise(sights, state.pose, centroid, noise, threshold_px=noise.threshold_px)
-    if details is not None:
+    if details is not None and with_dates:
         moved = moved_meanwhile(sights, descent.pose, centroid, details.at.noise)
         if moved is not None:
             return [moved]
