@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import report_cases
 import yaml
 
 from rpgd_ros.apps import calibrate_bag
@@ -183,6 +184,25 @@ def test_a_camera_that_sees_nobody_is_no_camera_that_fits(check: Run) -> None:
     outcome = check(replace(recording, streams=tuple(streams)))
     assert outcome.code == 1
     assert 'camera cam1 has seen too little' in outcome.out
+
+
+def test_a_moved_camera_fits_again_with_the_place_that_was_found_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The old rig file does not fit, the one with the new place does."""
+    monkeypatch.setattr(report_cases, 'SECONDS', 25.0)
+    report_cases.bumped(tmp_path)
+    names = ('p.yaml', 'result.yaml', 'rig.yaml', 'new.yaml', 'bag')
+    params, result, old, new, bag = (str(tmp_path / name) for name in names)
+    Path(params).write_text(
+        '/**: {ros__parameters: {rig: {on_bumped_camera: re-estimate}}}', encoding='utf-8'
+    )
+    words = ['--params', params, '--output', result, '--write-rig', new]
+    assert calibrate_bag.main([bag, '--rig', old, *words]) == 0
+    assert 'cam2 was moved' in capsys.readouterr().out
+    assert calibrate_bag.main([bag, '--rig', old, '--check', result]) == 1
+    assert 'camera cam2 is off by' in capsys.readouterr().out
+    assert calibrate_bag.main([bag, '--rig', new, '--check', result]) == 0
 
 
 def test_cameras_can_be_left_out_of_the_check(check: Run, studio: Studio) -> None:
