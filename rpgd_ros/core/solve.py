@@ -98,14 +98,14 @@ def solve(
                 rng,
                 check=run.check('details'),
             )
-    if details is None:
+    if details is not None:
+        sights, rival_ratio = list(details.sights), details.rival_ratio
+        pose, noise = details.at.state.pose, details.at.noise
+    if details is None or config.refine.method != 'newton' or config.refine.loss != 'robust':
         descent, loss, threshold_px = _refine(sights, pose, noise, centroid, config, run)
     else:
-        sights, rival_ratio, loss = list(details.sights), details.rival_ratio, details.at.noise
-        threshold_px = config.ransac.threshold_px or details.at.noise.threshold_px
-        descent = appraise(
-            sights, details.at.state.pose, centroid, loss, threshold_px=threshold_px
-        )
+        loss, threshold_px = noise, config.ransac.threshold_px or noise.threshold_px
+        descent = appraise(sights, pose, centroid, noise, threshold_px=threshold_px)
     calibration = report(
         sights, descent, loss, threshold_px=threshold_px, centroid=centroid, details=details,
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
