@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 WEAK_SHARE = 0.5  # a camera of which less agrees may be off by more than a descent can bridge
 POOR_SHARE = 0.5  # of what agrees in the others: something else than time is wrong with a camera
-POOR_GAIN = 2.0  # in what agrees, that an offset of its own must bring such a camera
+POOR_SIGMA = 6.0  # of the others': a seventh of the keypoints alone would make it 2.7
 STEPS = 12
 # Two quartz clocks differ by 1e-5 to 1e-4. A rate is estimated where it is beyond doubt.
 RATE_SIGMAS, LEAST_RATE = 8.0, 5e-5
@@ -79,17 +79,18 @@ def synchronise(
 def _without_pretexts(problem: Problem, at: Settled, check: Callable[[float], None]) -> Settled:
     """Take back offsets with which a camera still fits far worse than the others.
 
-    A camera that was moved fits nowhere in time, and some wrong offset fits a little better than
-    the right one. It gets that of the others, so that what is wrong with it can show.
+    A camera that was moved fits nowhere in time, and some wrong offset fits a few of its keypoints
+    better than the right one. These few know it far worse than the others know theirs. It gets
+    that of the others, so that what is wrong with it can show.
     """
     share = np.array(_shares(problem, at))
-    offset_s = at.state.offset_s.copy()
     poor = [v for v, s in enumerate(share) if s < POOR_SHARE * np.median(np.delete(share, v))]
     if not poor or len(poor) > len(share) - 2:
         return at
-    offset_s[poor] = np.median(np.delete(offset_s, poor))
-    back = at._replace(state=replace(at.state, offset_s=offset_s))
-    poor = [v for v in poor if share[v] < POOR_GAIN * _shares(problem, back)[v]]
+    system = look(problem, at.state, at.unknowns, at.noise)
+    precision, _ = prior(at.unknowns, at.state)
+    sigma = sigmas(system, precision)[at.unknowns.offsets]
+    poor = [v for v in poor if sigma[v] > POOR_SIGMA * np.median(np.delete(sigma, poor))]
     if not poor:
         return at
     kept = sorted(set(range(len(share))) - set(poor))
