@@ -115,7 +115,8 @@ def settle(
         n = len(sights)
         held = replace(clocks, offset=(-1,) * n, rate=(-1,) * n)
         at = settled(problem, at._replace(unknowns=held), check)
-    if config.refine.joint_offsets:
+    if config.refine.joint_offsets and lasts_long(sights):
+        # In less time a body hardly turns: then an offset of all joints looks like another pose.
         problem, at = _with_joints(problem, at, _skeletons(sights, track), check)
     # Minima that were rivals while the skeletons were late need not be rivals now.
     again = robust_start(problem.scene(at.state).sights, config.ransac, rng, check=check)
