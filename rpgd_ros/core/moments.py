@@ -18,6 +18,7 @@ import numpy as np
 from rpgd_ros.core.examine import TIME_BLOCKS, time_blocks
 from rpgd_ros.core.geometry import Array, Column, IntArray, RigidTransform
 from rpgd_ros.core.linearise import Residuals, Sight, Slopes, linearise
+from rpgd_ros.core.observations import is_there
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -135,7 +136,8 @@ def _directions(
         for axis in range(3):
             z[8 + axis] = sum(push[i] * turned[:, i, axis] for i in range(3))
     if larger is not None:
-        z[SCALE] = _along(push, np.nan_to_num(rotation @ (x - scene.centre_mocap).T))
+        out = np.where(is_there(x)[:, None], x - scene.centre_mocap, 0.0)
+        z[SCALE] = _along(push, rotation @ out.T)
         for side in (0, 1):
             z[FOCAL, :, side] = larger.lens[side].reshape(shape[1:])
             z[SCALE, :, side] += larger.noise[side].reshape(shape[1:])

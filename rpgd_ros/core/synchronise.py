@@ -71,7 +71,7 @@ def synchronise(
         again = robust_start(moved, config.ransac, rng, check=check)
         searched = settled(problem, _begin(problem, offset_s, unknowns, again), check)
         at = min(at, searched, key=lambda s: (not s.noise.is_sharp, -s.noise.share))
-    if not is_common:
+    if not is_common and n > 2:
         at = _without_pretexts(problem, at, check)
     return _with_rates(problem, at, check) if config.time.estimate_rate else at
 
