@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
@@ -98,8 +98,10 @@ class Findings:
             systematic += size.pose_spread
             if explained is not None and explained.unknowns.with_scale and size.wrong:
                 told.append(size_sentence(size))
-        few = thin(details.sights, 0, budget(problem.sights, DRIFT_POINTS))
-        drift = find_drift(few, state.pose, problem.centroid_mocap, noise)
+        few = replace(
+            problem, sights=thin(problem.sights, 0, budget(problem.sights, DRIFT_POINTS))
+        )
+        drift = find_drift(few.scene(state).sights, state.pose, problem.centroid_mocap, noise)
         if drift is not None and not drift.is_certain:
             drift = None
         if drift is not None:

@@ -233,10 +233,12 @@ def _explained(
     numbers = tuple(range(len(problem.sights))) if with_focal else ()
     freed = replace(at.unknowns, focal=numbers, with_scale=with_scale)
     state, _ = adjust(problem, at.state, freed, at.noise, max_steps=CORRECTION_STEPS, check=check)
-    return Settled(state, freed, noise_at(
-        thin(problem.scene(state).sights, 0, budget(problem.sights, MIDDLE_POINTS)), state.pose,
-        with_joints=at.noise.joint_sigma_m > 0.0,
-    ))  # fmt: skip
+    middle = replace(
+        problem, sights=thin(problem.sights, 0, budget(problem.sights, MIDDLE_POINTS))
+    )
+    with_joints = at.noise.joint_sigma_m > 0.0
+    noise = noise_at(middle.scene(state).sights, state.pose, with_joints=with_joints)
+    return Settled(state, freed, noise)
 
 
 def is_corrected(explained: Settled, refine: RefineConfig) -> bool:
