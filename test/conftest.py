@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from fault_report import measured
 from hypothesis import settings
+from ros_scene import Scene, make_scene
 
 # Before any test imports rclpy or a message: talk to this machine only, and check the fields.
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -41,3 +42,17 @@ def recording() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture(scope='session')
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Return eight seconds of a walk before four cameras."""
+    return make_scene(tmp_path_factory.mktemp('walk'))
+
+
+@pytest.fixture
+def rig(walk: Scene, tmp_path: Path) -> Path:
+    """Return the rig file of the walk in a folder of the test's own."""
+    path = tmp_path / 'rig.yaml'
+    path.write_bytes(walk.rig.read_bytes())
+    return path

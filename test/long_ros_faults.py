@@ -21,7 +21,7 @@ import pytest
 from fault_report import Measured
 from fuzzing import text_target
 from ros_live import WAIT_S, Live, live
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 from test_ros_faults_inputs import resident_mib, restamped
 from test_ros_faults_life import start_and_stop
 
@@ -40,20 +40,6 @@ CALL_EVERY_S = 15.0
 MAX_SOLVE_S = 90.0  # of the node's own limit of 60 s
 WARM_SHARE = 0.25  # of the time, until every bounded container is full
 MAX_SLOPE_MIB_PER_MIN = 1.0
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
-
-
-@pytest.fixture
-def rig(walk: Scene, tmp_path: Path) -> Path:
-    """Return the rig file of the walk in a folder of the test's own."""
-    path = tmp_path / 'rig.yaml'
-    path.write_bytes(walk.rig.read_bytes())
-    return path
 
 
 @pytest.mark.fault(6)

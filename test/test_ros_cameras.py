@@ -12,7 +12,7 @@ import pytest
 import yaml
 from geometry_msgs.msg import TransformStamped
 from ros_live import WAIT_S, Live, live
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 from sensor_msgs.msg import CameraInfo
 
 from rpgd_ros.core import RigidTransform
@@ -21,12 +21,6 @@ from rpgd_ros.ros.transforms import LATCHED
 
 INTRINSICS = ('size', 'matrix', 'distortion_model', 'distortion')
 POSES = ('camera_T_world', 'world_T_camera')
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
 
 
 def rig_without(walk: Scene, folder: Path, keys: Sequence[str]) -> Path:

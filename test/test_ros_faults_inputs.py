@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from fault_report import IS_FULL, Measured, repeats, within
 from ros_live import assert_close, live
-from ros_scene import MOCAP_FRAME, Scene, make_scene
+from ros_scene import MOCAP_FRAME, Scene
 
 from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.messages import POINT_CLOUD2, POSE_ARRAY, decode_joints, encode_point_cloud2
@@ -21,20 +21,6 @@ from rpgd_ros.simulation.export import MOCAP_TOPIC
 S = 1_000_000_000
 MIB = 2**20
 GIANT = 16 * MIB
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
-
-
-@pytest.fixture
-def rig(walk: Scene, tmp_path: Path) -> Path:
-    """Return the rig file of the walk in a folder of the test's own."""
-    path = tmp_path / 'rig.yaml'
-    path.write_bytes(walk.rig.read_bytes())
-    return path
 
 
 def resident_mib(pid: int) -> float:

@@ -16,7 +16,7 @@ from fault_report import Measured, repeats, within
 from geometry_msgs.msg import TransformStamped
 from harness import Child
 from ros_live import WAIT_S, Live, answered_bits, bits, live, slow
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 
 from rpgd_ros.io.result_file import read_result
 from rpgd_ros.ros.client import NODE
@@ -24,20 +24,6 @@ from rpgd_ros.ros.domain import free_domain
 
 FAULTY = str(Path(__file__).with_name('faulty_calibrator.py'))
 END_S = 2.0
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
-
-
-@pytest.fixture
-def rig(walk: Scene, tmp_path: Path) -> Path:
-    """Return the rig file of the walk in a folder of the test's own."""
-    path = tmp_path / 'rig.yaml'
-    path.write_bytes(walk.rig.read_bytes())
-    return path
 
 
 def temporary_files(folder: Path) -> list[str]:

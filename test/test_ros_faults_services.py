@@ -20,7 +20,7 @@ from harness import ros_environment, running
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from ros_live import CALIBRATOR, WAIT_S, Live, answered_bits, assert_close, bits, live, slow
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 from std_srvs.srv import Trigger
 
 from rpgd_ros.core.geometry import RigidTransform, so3_exp
@@ -36,20 +36,6 @@ HOSTILE_NAMES = (
     '/etc/cron.d/x', '../../../escaped', '~root/.ssh/authorized_keys', '/proc/self/mem', 'a\x00b',
     '$(touch escaped)', '`touch escaped`', ';touch escaped', '..', '', '/dev/null', 'x' * 5000,
 )  # fmt: skip
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
-
-
-@pytest.fixture
-def rig(walk: Scene, tmp_path: Path) -> Path:
-    """Return the rig file of the walk in a folder of the test's own."""
-    path = tmp_path / 'rig.yaml'
-    path.write_bytes(walk.rig.read_bytes())
-    return path
 
 
 @pytest.mark.fault(18)

@@ -11,15 +11,9 @@ import pytest
 from rcl_interfaces.msg import Parameter, ParameterDescriptor, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from ros_live import WAIT_S, Live, live, slow
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 
 from rpgd_ros.ros.client import NODE
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
 
 
 @pytest.fixture(scope='module')

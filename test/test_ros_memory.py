@@ -12,7 +12,7 @@ from threading import Event
 import numpy as np
 import pytest
 from fault_report import Measured
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 from test_ros_faults_inputs import resident_mib, restamped
 
 from rpgd_ros.core.geometry import Array
@@ -29,12 +29,6 @@ POLL_NS = S // 2  # of the stamps: 0.1 s where a walk of 240 messages/s is playe
 LOOK_POLLS = 5
 MAX_FRAMES = 1000
 WARM_WALKS, N_WALKS = 6, 24  # of 8 s of stamps; the stores are full after five
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
 
 
 class Room:

@@ -23,20 +23,6 @@ from rpgd_ros.ros.client import NODE
 from rpgd_ros.simulation.export import MOCAP_TOPIC
 
 
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
-
-
-@pytest.fixture
-def rig(walk: Scene, tmp_path: Path) -> Path:
-    """Return the rig file of the walk in a folder of the test's own."""
-    path = tmp_path / 'rig.yaml'
-    path.write_bytes(walk.rig.read_bytes())
-    return path
-
-
 def test_walk_leads_to_a_published_transform_without_any_call(walk: Scene, rig: Path) -> None:
     """Start the node, walk, and the transform is on the topics and in the file."""
     with live(rig, 'auto.enabled:=true', 'auto.period_s:=0.5') as node:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from harness import Child
 from ros_live import WAIT_S, Live, live
-from ros_scene import MOCAP_FRAME, WORLD_FRAME, Scene, make_scene
+from ros_scene import MOCAP_FRAME, WORLD_FRAME, Scene
 
 pytest.importorskip('rclpy')
 
@@ -32,12 +32,6 @@ from rpgd_ros.ros.transforms import (
 
 if TYPE_CHECKING:
     from rclpy.node import Node
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
 
 
 def blind_rig(walk: Scene, folder: Path, *names: str) -> Path:

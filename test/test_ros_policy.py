@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from fault_report import Measured
 from ros_live import live
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 
 from rpgd_ros.io.rig import read_rig
 from rpgd_ros.ros.client import NODE
@@ -21,12 +21,6 @@ CONFIG = Path(__file__).parents[1] / 'config'
 # Allowed for what is used in some set-ups only: a simulated clock, TF, topics of intrinsics.
 SOMETIMES_HEARD = {'/clock', '/parameter_events', '/tf_static'}
 SOMETIMES_PUBLISHED = {'/tf_static'}
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
 
 
 def names(policy: str, kind: str, right: str) -> set[str]:

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from harness import ros_environment, running
 from ros_live import CALIBRATOR, WAIT_S, live, slow
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 
 from rpgd_ros.ros.client import NODE
 from rpgd_ros.ros.domain import free_domain
@@ -20,12 +20,6 @@ from rpgd_ros.ros.parameters_text import calibrator_yaml
 from rpgd_ros.ros.player import Peer
 
 END_S = 2.0  # launch escalates after 5
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
 
 
 def refusal(*arguments: str, home: Path) -> str:

@@ -11,24 +11,10 @@ from pathlib import Path
 import pytest
 from geometry_msgs.msg import TransformStamped
 from ros_live import WAIT_S, answered_bits, assert_close, bits, live
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 from std_msgs.msg import Float64
 
 from rpgd_ros.io.result_file import read_result
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
-
-
-@pytest.fixture
-def rig(walk: Scene, tmp_path: Path) -> Path:
-    """Return the rig file of the walk in a folder of the test's own."""
-    path = tmp_path / 'rig.yaml'
-    path.write_bytes(walk.rig.read_bytes())
-    return path
 
 
 def test_answer_is_the_published_transform_bit_for_bit(walk: Scene, rig: Path) -> None:

@@ -9,11 +9,10 @@ import signal
 import time
 from pathlib import Path
 
-import pytest
 from geometry_msgs.msg import TransformStamped
 from harness import ros_environment, running
 from ros_live import CALIBRATOR, WAIT_S, answered_bits, assert_close, bits, live
-from ros_scene import Scene, make_scene
+from ros_scene import Scene
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
@@ -28,20 +27,6 @@ RESTART_S = 2.0
 # Where other programs have the processors. In ten restarts beside four times as much work as fits,
 # 0.57 to 0.88 s were used, over 0.8 to 3.8 s by the clock: imports 0.6, the node 0.2.
 RESTART_CPU_S = 1.2
-
-
-@pytest.fixture(scope='module')
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
-    return make_scene(tmp_path_factory.mktemp('walk'))
-
-
-@pytest.fixture
-def rig(walk: Scene, tmp_path: Path) -> Path:
-    """Return the rig file of the walk in a folder of the test's own."""
-    path = tmp_path / 'rig.yaml'
-    path.write_bytes(walk.rig.read_bytes())
-    return path
 
 
 def messages_of(walk: Scene, *cameras: str) -> list[Timed]:

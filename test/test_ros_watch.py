@@ -35,14 +35,6 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return make_scene(tmp_path_factory.mktemp('walk'), seconds=CALIBRATED_S + SOON_S)
 
 
-@pytest.fixture
-def rig(walk: Scene, tmp_path: Path) -> Path:
-    """Return the rig file of the walk in a folder of the test's own."""
-    path = tmp_path / 'rig.yaml'
-    path.write_bytes(walk.rig.read_bytes())
-    return path
-
-
 def messages(recording: SimulatedRecording, begin_s: float, end_s: float) -> list[Message]:
     """Return what is sent in a stretch of time."""
     sent = [m for m in messages_of(recording, 'PoseArray') if m.msgtype != CAMERA_INFO]

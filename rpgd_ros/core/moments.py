@@ -2,10 +2,9 @@
 """One pass over the data that answers every question beyond the pose.
 
 Whatever else may be unknown (a late clock, a joint that the detector sees elsewhere, a focal
-length, a drift) moves a projected point along a few directions that are known at that point. The
-products of these directions, summed per camera and joint, are all that a solve for any of them
-needs: `unknowns` picks its parameters out of them by linear maps, without another look at the
-data.
+length) moves a projected point along a few directions that are known at that point. The products
+of these directions, summed per camera and joint, are all that a solve for any of them needs:
+`unknowns` picks its parameters out of them by linear maps, without another look at the data.
 """
 
 from __future__ import annotations
@@ -33,8 +32,7 @@ RATE = 7  # the same per second from the middle of the recording
 JOINT = slice(8, 11)  # m, the body's frame
 FOCAL = 11  # share of the focal length
 SCALE = 12  # share of the skeleton's size, about a given centre
-DRIFT = slice(13, 19)  # the twist per second from the middle
-N_ESTIMATED, N_ALL = 11, 19  # columns of the first three, and of all
+N_ESTIMATED, N_ALL = 11, 13  # columns of the first three, and of all
 LEAST_CURVATURE = 0.1  # of the loss, mean over the points by that of the weights
 
 
@@ -141,7 +139,6 @@ def _directions(
         for side in (0, 1):
             z[FOCAL, :, side] = larger.lens[side].reshape(shape[1:])
             z[SCALE, :, side] += larger.noise[side].reshape(shape[1:])
-        z[DRIFT] = z[TWIST] * seconds
     return z
 
 

@@ -3,7 +3,7 @@
 
 Parameters, in this order: the pose's six (see `normal`), the offset of each clock, the rate of
 each clock, three per joint (where the detector sees it, in the body's frame), and those that are
-only asked about: focal lengths, size, drift.
+only asked about: focal lengths and the size.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from rpgd_ros.core.covariance import between_groups, invert, larger
 from rpgd_ros.core.geometry import Array, RigidTransform
-from rpgd_ros.core.moments import DRIFT, FOCAL, JOINT, LATE, RATE, SCALE, TWIST, Moments
+from rpgd_ros.core.moments import FOCAL, JOINT, LATE, RATE, SCALE, TWIST, Moments
 from rpgd_ros.core.normal import twist_from_delta
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ class Unknowns:
         n_joints: Joints with an offset of their own; 0 for none.
         focal: Per camera the number of its focal length, or -1.
         with_scale: Whether the skeleton's size is one of them.
-        with_drift: Whether the drift of the pose is.
 
     """
 
@@ -45,7 +44,6 @@ class Unknowns:
     n_joints: int = 0
     focal: tuple[int, ...] = ()
     with_scale: bool = False
-    with_drift: bool = False
 
     @property
     def offsets(self) -> slice:
@@ -76,22 +74,15 @@ class Unknowns:
         start = self.focals.stop
         return slice(start, start + int(self.with_scale))
 
-    @property
-    def drift(self) -> slice:
-        """Columns of the drift."""
-        start = self.scale.stop
-        return slice(start, start + 6 * int(self.with_drift))
-
     def __len__(self) -> int:
         """Return the number of parameters."""
-        stop: int = self.drift.stop
+        stop: int = self.scale.stop
         return stop
 
     def of_camera(self, v: int, camera_T_world: RigidTransform, pivot: Array, n: int) -> Array:
         """(n, p) the local directions of one camera by the parameters, joints left out."""
         out = np.zeros((n, len(self)))
-        to_twist = twist_from_delta(camera_T_world, pivot)
-        out[TWIST, POSE] = to_twist
+        out[TWIST, POSE] = twist_from_delta(camera_T_world, pivot)
         for local, numbers, columns in (
             (LATE, self.offset, self.offsets),
             (RATE, self.rate, self.rates),
@@ -101,8 +92,6 @@ class Unknowns:
                 out[local, columns.start + numbers[v]] = 1.0
         if self.with_scale:
             out[SCALE, self.scale] = 1.0
-        if self.with_drift:
-            out[DRIFT, self.drift] = to_twist
         return out
 
 
