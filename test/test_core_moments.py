@@ -21,7 +21,7 @@ from rpgd_ros.core.timeline import Timeline
 from rpgd_ros.core.unknowns import Unknowns, assemble
 
 LOSS = NoiseModel(sigma_px=2.0, nu=6.0, share=0.9, background=1e-6)
-NAMES = ['offset', 'rate', 'joint x', 'joint y', 'joint z', 'focal', 'scale']
+NAMES = ['offset', 'rate', 'joint x', 'joint y', 'joint z', 'focal', 'radial', 'scale']
 
 
 @pytest.fixture(scope='module')
@@ -58,7 +58,15 @@ def moved(problem: Problem, state: State, name: str, by: float) -> Scene:
         focal=state.focal + by * (name == 'focal'),
         scale=state.scale + by * (name == 'scale'),
     )
-    return problem.scene(changed)
+    scene = problem.scene(changed)
+    if name != 'radial':
+        return scene
+    k1 = by * np.eye(1, 5)[0]
+    sights = [
+        replace(s, camera=replace(s.camera, distortion=s.camera.distortion + k1))
+        for s in scene.sights
+    ]
+    return replace(scene, sights=sights)
 
 
 @pytest.mark.parametrize('name', NAMES)
@@ -67,23 +75,25 @@ def test_each_derivative_is_the_numeric_one(given: tuple[Problem, State], name: 
     problem, state = given
     n_joints, n_views = len(state.joint_offset), len(problem.sights)
     common = (0,) * n_views
-    unknowns = Unknowns(common, common, n_joints, common, with_scale=True)
+    unknowns = Unknowns(common, common, n_joints, common, common, with_scale=True)
     scene = problem.scene(state)
     system = assemble(
         sum_moments(scene, state.pose, LOSS), unknowns, scene.sights,
         state.pose @ problem.centroid_mocap,
     )  # fmt: skip
     joints = [list(range(unknowns.joints.start + k, unknowns.joints.stop, 3)) for k in range(3)]
-    slices = (unknowns.offsets, unknowns.rates, unknowns.focals, unknowns.scale)
+    slices = (unknowns.offsets, unknowns.rates, unknowns.focals, unknowns.radials, unknowns.scale)
     columns = [[*range(s.start, s.stop)] for s in slices]
     columns[2:2] = joints
     analytic = float(np.sum(system.gradient[columns[NAMES.index(name)]]))
     step = 2e-4 if name != 'rate' else 5e-5
+    # The radius is taken where the lens shows the point.
+    slack = 0.1 if name == 'radial' else 0.01
     costs = [
         sum_moments(moved(problem, state, name, by), state.pose, LOSS, n=N_ESTIMATED).cost
         for by in (step, -step)
     ]
-    assert analytic == pytest.approx((costs[0] - costs[1]) / (2.0 * step), rel=0.01)
+    assert analytic == pytest.approx((costs[0] - costs[1]) / (2.0 * step), rel=slack)
 
 
 def test_the_information_times_its_curvature_is_the_second_derivative() -> None:

@@ -239,15 +239,7 @@ def test_reported_sigma_is_that_of_the_errors(
     [
         pytest.param(WRONG[0], id='short'),
         pytest.param(WRONG[1], id='long'),
-        pytest.param(
-            WRONG[2],
-            id='lens left out',
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason='the position is within its sigma, the rotation in 2 of 12 at 3.7 of its '
-                'own (0.14 deg), though with the warning that the intrinsics do not fit',
-            ),
-        ),
+        pytest.param(WRONG[2], id='lens left out'),
     ],
 )
 def test_wrong_intrinsics_are_covered_by_the_sigma(

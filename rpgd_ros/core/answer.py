@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array
+from rpgd_ros.core.geometry import Array, BoolArray
 
 if TYPE_CHECKING:
     from rpgd_ros.core.unknowns import System
 
 SIGMAS = 5.0  # beyond doubt; clean recordings reach 3.5 in a hundred
+DOUBT_SIGMAS = 3.0  # from here on the film is believed, not what was given
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +33,8 @@ class Answer:
         covariance: (n, n).
         pose_by_error: (6, n) how far the pose moves with each, about the pivot.
         gain: By how much the errors explain the data better than none (log likelihood).
-        prior: Standard deviation of an error before the film was seen.
-        least: An error that nobody needs to hear of.
+        prior: (n,) standard deviations of the errors before the film was seen.
+        least: (n,) errors that nobody needs to hear of.
 
     """
 
@@ -41,13 +42,13 @@ class Answer:
     covariance: Array
     pose_by_error: Array
     gain: float
-    prior: float
-    least: float
+    prior: Array
+    least: Array
 
     @classmethod
     def of(
         cls, system: System, columns: slice, precision: Array, value: Array,
-        *, prior: float, least: float,
+        *, prior: Array, least: Array,
     ) -> Self:  # fmt: skip
         """Ask the sums of a solve that has the numbers among its unknowns.
 
@@ -80,7 +81,7 @@ class Answer:
     def pose_spread(self) -> Array:
         """(6, 6) of how far the pose may be off, about the pivot: film and prior together."""
         known = np.linalg.inv(self.covariance)
-        kept = np.linalg.inv(known + np.eye(len(self.error)) / self.prior**2)
+        kept = np.linalg.inv(known + np.diag(np.where(self.doubted, 0.0, self.prior**-2)))
         likely = kept @ known @ self.error
         spread: Array = (
             self.pose_by_error @ (kept + np.outer(likely, likely)) @ self.pose_by_error.T
@@ -88,12 +89,16 @@ class Answer:
         return spread
 
     @property
+    def doubted(self) -> BoolArray:
+        """(n,) whether the film contradicts what was given."""
+        out: BoolArray = np.abs(self.error) > DOUBT_SIGMAS * self.sigma
+        return out
+
+    @property
     def wrong(self) -> tuple[int, ...]:
         """Numbers of the errors that are beyond doubt."""
-        rows = zip(self.error.tolist(), self.sigma.tolist(), strict=True)
-        return tuple(
-            k for k, (error, s) in enumerate(rows) if abs(error) > max(self.least, SIGMAS * s)
-        )
+        enough = np.maximum(self.least, SIGMAS * self.sigma)
+        return tuple(np.flatnonzero(np.abs(self.error) > enough).tolist())
 
     def percent(self, k: int) -> str:
         """Say how large an error is, without its sign."""

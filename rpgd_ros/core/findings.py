@@ -11,7 +11,12 @@ import numpy as np
 from rpgd_ros.core.adjust import look, prior
 from rpgd_ros.core.drift import Drift, find_drift
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.core.questions import Questions, focal_sentences, size_sentence
+from rpgd_ros.core.questions import (
+    Questions,
+    focal_sentences,
+    radial_sentences,
+    size_sentence,
+)
 from rpgd_ros.core.synchronise import sigmas
 from rpgd_ros.core.thin import budget, thin
 
@@ -73,8 +78,9 @@ class Findings:
         cls, sights: Sequence[Sight], pose: RigidTransform, centroid: Array, noise: NoiseModel
     ) -> Self:
         """Ask what can be asked where only the pose was estimated."""
-        focal = Questions.of_pose(sights, pose, centroid, noise).focal(is_common=True)
-        return cls(focal.pose_spread, warnings=tuple(focal_sentences(focal, ())))
+        lenses = Questions.of_pose(sights, pose, centroid, noise).lenses(is_common=True)
+        told = focal_sentences(lenses.focal, ()) + radial_sentences(lenses.radial, ())
+        return cls(lenses.both.pose_spread, warnings=tuple(told))
 
     @classmethod
     def of(cls, details: Details) -> Self:
@@ -88,11 +94,14 @@ class Findings:
         if unknowns.n_joints:
             joints = (state.joint_offset, sigma[unknowns.joints].reshape(-1, 3))
         explained = details.explained
-        told, systematic = list(details.warnings), np.zeros((6, 6))
-        if not unknowns.focal:
-            systematic += details.focal.pose_spread
+        lenses = details.lenses
+        told = [*details.warnings, *radial_sentences(lenses.radial, names)]
+        if unknowns.focal:
+            systematic = lenses.radial.pose_spread
+        else:
+            systematic = lenses.both.pose_spread
             if explained is None or explained.unknowns.focal:
-                told += focal_sentences(details.focal, names)
+                told += focal_sentences(lenses.focal, names)
         size = details.size
         if size is not None and not unknowns.with_scale:
             systematic += size.pose_spread
@@ -106,7 +115,7 @@ class Findings:
             drift = None
         if drift is not None:
             told = [*details.warnings, drift.sentence()]  # it bends what was said of the rest
-        focal_error = details.focal.error
+        focal_error = lenses.focal.error
         found_size = None if size is None else (float(size.error[0]), float(size.sigma[0]))
         if explained is not None:  # several steps know better than one
             focal_error = explained.state.focal if explained.unknowns.focal else focal_error
@@ -118,7 +127,7 @@ class Findings:
             _known(names, state.offset_s, sigma[unknowns.offsets], unknowns.offset),
             _known(names, state.rate, sigma[unknowns.rates], unknowns.rate),
             joints,
-            _known(names, focal_error, details.focal.sigma, range(len(names))),
+            _known(names, focal_error, lenses.focal.sigma, range(len(names))),
             found_size,
             drift,
             tuple(told),

@@ -32,7 +32,8 @@ RATE = 7  # the same per second from the middle of the recording
 JOINT = slice(8, 11)  # m, the body's frame
 FOCAL = 11  # share of the focal length
 SCALE = 12  # share of the skeleton's size, about a given centre
-N_ESTIMATED, N_ALL = 11, 13  # columns of the first three, and of all
+RADIAL = 13  # radial distortion k1 of the lens
+N_ESTIMATED, N_ALL = 11, 14  # columns of the first three, and of all
 LEAST_CURVATURE = 0.1  # of the loss, mean over the points by that of the weights
 
 
@@ -138,6 +139,7 @@ def _directions(
         z[SCALE] = _along(push, rotation @ out.T)
         for side in (0, 1):
             z[FOCAL, :, side] = larger.lens[side].reshape(shape[1:])
+            z[RADIAL, :, side] = larger.bent[side].reshape(shape[1:])
             z[SCALE, :, side] += larger.noise[side].reshape(shape[1:])
     return z
 
@@ -151,21 +153,22 @@ def _along(push: Column, direction: Array) -> Column:
 
 
 class _Enlarged(NamedTuple):
-    """What a longer lens does to (du, dv), and what any enlargement does through the noise."""
+    """What another lens does to (du, dv), and what any enlargement does through the noise."""
 
     lens: tuple[Column, Column]
+    bent: tuple[Column, Column]
     noise: tuple[Column, Column]
 
 
 def _enlarged(
     sight: Sight, uv: Array, res: Residuals, slopes: Slopes, joint_noise: float
 ) -> _Enlarged:
-    """A longer focal length moves a projection away from the principal point.
+    """A longer focal length moves a projection away from the principal point; k1 by r^2 as much.
 
-    It also enlarges the noise of the 3D joints, as a larger skeleton does, by which residuals are
-    divided: without that term noisy joints would make every lens seem too long.
+    A focal length also enlarges the noise of the 3D joints, as a larger skeleton does, by which
+    residuals are divided: without that term noisy joints would make every lens seem too long.
     """
-    _, _, cx, cy = sight.camera.pinhole
+    fx, fy, cx, cy = sight.camera.pinhole
     added, _ = slopes.joint_variance(joint_noise)
     root = 1.0 / np.sqrt(1.0 + added)
     share = added / (1.0 + added) * root
@@ -173,7 +176,8 @@ def _enlarged(
         away_u = np.where(res.in_view, uv[:, 0] - cx + res.du, 0.0) * root
         away_v = np.where(res.in_view, uv[:, 1] - cy + res.dv, 0.0) * root
     noise = -share * res.du, -share * res.dv
-    return _Enlarged((away_u + noise[0], away_v + noise[1]), noise)
+    r2 = ((away_u / fx) ** 2 + (away_v / fy) ** 2) / root**2
+    return _Enlarged((away_u + noise[0], away_v + noise[1]), (r2 * away_u, r2 * away_v), noise)
 
 
 def _add(

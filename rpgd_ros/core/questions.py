@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,23 @@ if TYPE_CHECKING:
 
 POINTS, SETTLED_POINTS = 8192, 65_536  # that are looked at: 3 and 25 ms
 LEAST_FOCAL = 0.001  # better than a chessboard does
+RADIAL_PRIOR, LEAST_RADIAL = 0.01, 0.01  # of k1, by a chessboard: two pixels at the rim
 SIZE_PRIOR, LEAST_SIZE = 0.003, 0.003  # of a MoCap volume that was calibrated with its wand
+
+
+class Lenses(NamedTuple):
+    """What the film says of the lenses.
+
+    Attributes:
+        focal: Errors of the focal lengths, with k1 as given where it is not doubted.
+        radial: Errors of k1, whatever the focal lengths are.
+        both: All of them.
+
+    """
+
+    focal: Answer
+    radial: Answer
+    both: Answer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,13 +85,25 @@ class Questions:
         moments = sum_moments(scene, state.pose, loss)
         return cls(scene.sights, moments, state, unknowns, problem.centroid_mocap)
 
-    def focal(self, *, is_common: bool) -> Answer:
-        """Ask for the focal lengths: one error of all cameras, or of each."""
+    def lenses(self, *, is_common: bool) -> Lenses:
+        """Ask for focal length and radial distortion: one error of all cameras, or of each."""
         n = len(self.sights)
-        system, precision, value = self._with(focal=(0,) * n if is_common else tuple(range(n)))
-        return Answer.of(
-            system, system.unknowns.focals, precision, value, prior=FOCAL_PRIOR, least=LEAST_FOCAL
-        )
+        numbers = (0,) * n if is_common else tuple(range(n))
+        whole = self._with(focal=numbers, radial=numbers)
+        unknowns = whole[0].unknowns
+        prior, least = np.zeros((2, len(unknowns)))
+        prior[unknowns.focals], least[unknowns.focals] = FOCAL_PRIOR, LEAST_FOCAL
+        prior[unknowns.radials], least[unknowns.radials] = RADIAL_PRIOR, LEAST_RADIAL
+
+        def asked(sums: tuple[System, Array, Array], part: slice) -> Answer:
+            system, precision, value = sums
+            return Answer.of(system, part, precision, value, prior=prior[part], least=least[part])
+
+        both = asked(whole, slice(unknowns.focals.start, unknowns.radials.stop))
+        radial = asked(whole, unknowns.radials)
+        freed = np.where(radial.doubted, np.cumsum(radial.doubted) - 1, -1)[list(numbers)]
+        some = self._with(focal=numbers, radial=tuple(freed.tolist()))
+        return Lenses(asked(some, unknowns.focals), radial, both)
 
     def size(self) -> Answer | None:
         """Ask for the size of the skeleton; None for one camera.
@@ -90,15 +118,16 @@ class Questions:
             system.unknowns.scale,
             precision,
             value,
-            prior=SIZE_PRIOR,
-            least=LEAST_SIZE,
+            prior=np.array([SIZE_PRIOR]),
+            least=np.array([LEAST_SIZE]),
         )
 
     def _with(
-        self, *, focal: tuple[int, ...] = (), with_scale: bool = False
-    ) -> tuple[System, Array, Array]:
+        self, *, focal: tuple[int, ...] = (), radial: tuple[int, ...] = (),
+        with_scale: bool = False,
+    ) -> tuple[System, Array, Array]:  # fmt: skip
         """Sums with more unknowns; precision and value of the priors of those that were there."""
-        unknowns = replace(self.unknowns, focal=focal, with_scale=with_scale)
+        unknowns = replace(self.unknowns, focal=focal, radial=radial, with_scale=with_scale)
         pivot = self.state.pose @ self.centroid_mocap
         system = assemble(self.moments, unknowns, self.sights, pivot)
         precision, value = np.zeros((2, len(unknowns)))
@@ -116,6 +145,19 @@ def focal_sentences(focal: Answer, names: Sequence[str]) -> list[str]:
         out.append(
             f'the {whose} {focal.percent(k)} too {way}: the intrinsics do not fit the film. '
             'Calibrate them again; the reported sigma holds what that may move'
+        )
+    return out
+
+
+def radial_sentences(radial: Answer, names: Sequence[str]) -> list[str]:
+    """Say to a person which lens is not the one that was given."""
+    out = []
+    for k in radial.wrong:
+        whose = f'lens of camera {names[k]} bends' if names else 'lenses bend'
+        out.append(
+            f'the {whose} the image otherwise than given (radial distortion k1 is off by '
+            f'{radial.error[k]:+.3f} +- {radial.sigma[k]:.3f}): the intrinsics do not fit the '
+            'film. Calibrate them again; the reported sigma holds what that may move'
         )
     return out
 

@@ -111,7 +111,7 @@ def _contradicting(
     if (
         details is not None
         and explained
-        and (explained.unknowns.with_scale or len(details.focal.wrong) > 1)
+        and (explained.unknowns.with_scale or len(details.lenses.focal.wrong) > 1)
     ):
         state, _, noise = explained
         sights = details.problem.scene(state).sights

@@ -23,7 +23,7 @@ from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.noise import noise_at
 from rpgd_ros.core.observations import is_there
-from rpgd_ros.core.questions import Questions
+from rpgd_ros.core.questions import Lenses, Questions
 from rpgd_ros.core.ransac import Start, robust_start
 from rpgd_ros.core.synchronise import Settled, settled, synchronise, without_unknown
 from rpgd_ros.core.thin import MIDDLE_POINTS, budget, spread, thin
@@ -55,7 +55,7 @@ class Details:
         problem: All data that is used.
         at: State, what was moved last, and noise.
         unknowns: All that is not known.
-        focal: Answer of the film to the question for each focal length.
+        lenses: Answers of the film to the questions for each lens.
         size: The same for the skeleton's size; None where it cannot be asked.
         explained: The state with the one of both corrected that is wrong, where one is: cameras
             that still contradict each other there were moved.
@@ -67,7 +67,7 @@ class Details:
     problem: Problem
     at: Settled
     unknowns: Unknowns
-    focal: Answer
+    lenses: Lenses
     size: Answer | None
     explained: Settled | None
     rival_ratio: float
@@ -126,12 +126,12 @@ def settle(
     state, _ = adjust(problem, at.state, at.unknowns, at.noise, max_steps=2, check=check)
     at = at._replace(state=state)
     questions = Questions.of_settled(problem, at)
-    focal, size = questions.focal(is_common=False), questions.size()
-    explained = _explained(problem, at, focal, size, refine, check)
+    lenses, size = questions.lenses(is_common=False), questions.size()
+    explained = _explained(problem, at, lenses.focal, size, refine, check)
     if explained is not None and is_corrected(explained, refine):
         at = explained
     unknowns = replace(at.unknowns, offset=clocks.offset, rate=clocks.rate)
-    return Details(problem, at, unknowns, focal, size, explained, again.rival_ratio, warnings)
+    return Details(problem, at, unknowns, lenses, size, explained, again.rival_ratio, warnings)
 
 
 def _clocks(

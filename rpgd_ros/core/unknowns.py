@@ -3,7 +3,7 @@
 
 Parameters, in this order: the pose's six (see `normal`), the offset of each clock, the rate of
 each clock, three per joint (where the detector sees it, in the body's frame), and those that are
-only asked about: focal lengths and the size.
+only asked about: focal lengths, radial distortions and the size.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from rpgd_ros.core.covariance import between_groups, invert, larger
 from rpgd_ros.core.geometry import Array, RigidTransform
-from rpgd_ros.core.moments import FOCAL, JOINT, LATE, RATE, SCALE, TWIST, Moments
+from rpgd_ros.core.moments import FOCAL, JOINT, LATE, RADIAL, RATE, SCALE, TWIST, Moments
 from rpgd_ros.core.normal import twist_from_delta
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ class Unknowns:
         rate: Per camera the number of its clock's rate, or -1.
         n_joints: Joints with an offset of their own; 0 for none.
         focal: Per camera the number of its focal length, or -1.
+        radial: Per camera the number of its radial distortion k1, or -1.
         with_scale: Whether the skeleton's size is one of them.
 
     """
@@ -43,6 +44,7 @@ class Unknowns:
     rate: tuple[int, ...]
     n_joints: int = 0
     focal: tuple[int, ...] = ()
+    radial: tuple[int, ...] = ()
     with_scale: bool = False
 
     @property
@@ -69,9 +71,15 @@ class Unknowns:
         return slice(start, start + _count(self.focal))
 
     @property
+    def radials(self) -> slice:
+        """Columns of the radial distortions."""
+        start = self.focals.stop
+        return slice(start, start + _count(self.radial))
+
+    @property
     def scale(self) -> slice:
         """Column of the size."""
-        start = self.focals.stop
+        start = self.radials.stop
         return slice(start, start + int(self.with_scale))
 
     def __len__(self) -> int:
@@ -87,6 +95,7 @@ class Unknowns:
             (LATE, self.offset, self.offsets),
             (RATE, self.rate, self.rates),
             (FOCAL, self.focal, self.focals),
+            (RADIAL, self.radial, self.radials),
         ):
             if numbers and numbers[v] >= 0:
                 out[local, columns.start + numbers[v]] = 1.0
