@@ -30,6 +30,7 @@ class Inputs:
         paths: Keypoints by camera.
         fps: Rate by camera.
         start_s: Start by camera, where one was given.
+        timecodes: Of the first frame by camera, where one was given.
         joints: Names of the keypoints; None = as the files state.
         joint_map: MoCap joint by keypoint.
 
@@ -41,6 +42,7 @@ class Inputs:
     paths: Mapping[str, Path]
     fps: Mapping[str, float]
     start_s: Mapping[str, float]
+    timecodes: Mapping[str, str]
     joints: tuple[str, ...] | None
     joint_map: Mapping[str, str | None]
 
@@ -77,9 +79,9 @@ def parse_inputs(arguments: argparse.Namespace) -> Inputs:
         msg = f'--mocap-fps must be 1 to {MAX_FPS:g}, got {arguments.mocap_fps:g}'
         raise InputError(Reason.BAD_INPUT, msg)
     joints = keypoint_joints(arguments.keypoint_joints) if arguments.keypoint_joints else None
-    return Inputs(
-        arguments, cameras, formats, paths, fps, start_s, joints, _joint_map(arguments.joint_map)
-    )
+    timecodes = _by_camera(arguments.camera_timecode, '--camera-timecode', [*paths])
+    joint_map = _joint_map(arguments.joint_map)
+    return Inputs(arguments, cameras, formats, paths, fps, start_s, timecodes, joints, joint_map)
 
 
 def _cameras(
@@ -134,10 +136,7 @@ def _numbers(
 ) -> dict[str, float]:
     """Return a number by camera: one for all, or CAMERA=NUMBER."""
     found: dict[str, float] = {}
-    for text in texts:
-        name, value = _split(text)
-        if name:
-            _check_name(name, names, option)
+    for name, value in _by_camera(texts, option, names).items():
         try:
             number = float(value)
         except ValueError:
@@ -145,7 +144,18 @@ def _numbers(
         if not bounds[0] <= number <= bounds[1] or (option == '--camera-fps' and number == 0.0):
             msg = f'{option} needs a number up to {bounds[1]:g}, got {value[:80]!r}'
             raise InputError(Reason.BAD_INPUT, msg)
-        found |= {name: number} if name else {n: number for n in names if n not in found}
+        found[name] = number
+    return found
+
+
+def _by_camera(texts: Sequence[str], option: str, names: Sequence[str]) -> dict[str, str]:
+    """Return a value by camera: one for all, or CAMERA=VALUE."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, value = _split(text)
+        if name:
+            _check_name(name, names, option)
+        found |= {name: value} if name else {n: value for n in names if n not in found}
     return found
 
 

@@ -14,8 +14,11 @@ from typing import get_args
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
+from rpgd_ros.apps.import_clock import read_clock
 from rpgd_ros.apps.import_inputs import Inputs, parse_inputs
+from rpgd_ros.apps.import_json import plan_tree
 from rpgd_ros.apps.import_tables import print_plan
+from rpgd_ros.apps.outcome_json import json_of
 from rpgd_ros.apps.output_folder import check_output, finish, put_in_place, scratch_folder
 from rpgd_ros.apps.progress import bar_columns
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
@@ -24,6 +27,7 @@ from rpgd_ros.importing import (
     AXES,
     BAG,
     RIG,
+    TIMECODE_RATES,
     Plan,
     check_plan,
     plan_camera,
@@ -77,6 +81,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _run(arguments, Console(stderr=True), stop)
     except InputError as error:
         print(f'import_recording: {error.message}', file=sys.stderr)
+        if arguments.json:
+            print(json_of('bad_input', EXIT_BAD_INPUT, error=error))
         return EXIT_BAD_INPUT
     except Stopped:
         print('import_recording: stopped, nothing was written', file=sys.stderr)
@@ -110,6 +116,12 @@ def _parser() -> argparse.ArgumentParser:
     add('--camera-fps', required=True, nargs='+', metavar='[CAMERA=]HZ', help=text)
     text = "time of the skeleton's file at frame 0 of a video, or 1 where that is its first"
     add('--camera-start', nargs='+', default=[], metavar='[CAMERA=]SECONDS', help=text)
+    text = "SMPTE timecode of a video's first frame; ;FF where frame numbers are dropped"
+    add('--camera-timecode', nargs='+', default=[], metavar='[CAMERA=]HH:MM:SS:FF', help=text)
+    text = "of the first frame in the skeleton's file, where the file states none, or a wrong one"
+    add('--mocap-timecode', metavar='HH:MM:SS:FF', help=text)
+    text = 'rate of the timecodes; for videos of 50 Hz and more it may be half of theirs'
+    add('--timecode-fps', choices=list(TIMECODE_RATES), help=text)
     text = 'coco17, body25, body25b, halpe26 ..., or names between commas'
     add('--keypoint-joints', metavar='NAMES', help=text)
     text = 'of the keypoints: pixels, or shares of width and height (default pixels)'
@@ -126,6 +138,7 @@ def _parser() -> argparse.ArgumentParser:
     add('--world-frame', default='world', metavar='NAME', help=text)
     add('--storage', choices=get_args(Storage), default='mcap', help='bag format (default mcap)')
     add('--dry-run', action='store_true', help='say what was understood, and write nothing')
+    add('--json', action='store_true', help='print the outcome as JSON, for programs')
     add('--force', action='store_true', help='replace DIR if it is an older recording')
     return parser
 
@@ -137,8 +150,11 @@ def _run(arguments: argparse.Namespace, console: Console, stop: Event) -> int:
         check_output(output, FILES, is_forced=arguments.force)
     with _bars(console, stop) as progress:
         plan = _read(inputs, progress)
-    print_plan(Console(), plan, inputs)
+    if not arguments.json:
+        print_plan(Console(), plan, inputs)
     if arguments.dry_run:
+        if arguments.json:
+            print(json_of('understood', EXIT_DONE, **plan_tree(plan, inputs)))
         return EXIT_DONE
     with scratch_folder(output) as scratch, _bars(console, stop) as progress:
         write_plan(
@@ -148,6 +164,10 @@ def _run(arguments: argparse.Namespace, console: Console, stop: Event) -> int:
             progress=lambda share: progress('writing', share),
         )
         put_in_place(finish(scratch, FILES), output)
+    if arguments.json:
+        files = {'bag': output / BAG, 'rig': output / RIG}
+        print(json_of('written', EXIT_DONE, files=files, **plan_tree(plan, inputs)))
+        return EXIT_DONE
     print(f'{output / BAG}\n{output / RIG}')
     print(f'next: calibrate_bag {output / BAG} --rig {output / RIG}')
     return EXIT_DONE
@@ -160,6 +180,7 @@ def _read(inputs: Inputs, progress: Callable[[str, float], None]) -> Plan:
     file = read_skeleton(options.skeleton, options.mocap_fps)
     skeleton = settle(file, units=options.units, up=options.up, fps=options.mocap_fps)
     progress('skeleton', 1.0)
+    clock = read_clock(inputs, skeleton)
     plans = []
     for camera in inputs.with_keypoints:
 
@@ -176,12 +197,12 @@ def _read(inputs: Inputs, progress: Callable[[str, float], None]) -> Plan:
                 detections,
                 joints=inputs.joints,
                 fps=inputs.fps[camera.name],
-                start_s=inputs.start_s.get(camera.name),
+                start_s=clock.start_s.get(camera.name),
                 joint_map=inputs.joint_map,
                 units=options.keypoint_units,
             )
         )
-    plan = Plan(skeleton, tuple(plans), options.world_frame)
+    plan = Plan(skeleton, tuple(plans), options.world_frame, clock.timecode, clock.warnings)
     check_plan(plan)
     return plan
 

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from rpgd_ros.apps.import_inputs import Inputs
 from rpgd_ros.importing import CameraPlan, Plan
+from rpgd_ros.io.camera_files import TOML
 
 NO_POSES = (
     'the calibration gives no poses for several cameras: calibrate_bag places each of them, in '
@@ -34,14 +35,21 @@ def print_plan(console: Console, plan: Plan, inputs: Inputs) -> None:
         f'{axes}{standing}',
     )
     names = ', '.join(camera.name for camera in inputs.cameras)
-    _say(console, f'calibration {", ".join(inputs.formats)}: {names}')
+    if plan.timecode:
+        _say(console, f'timecode    {plan.timecode}')
+    unit = inputs.arguments.camera_units or 'm'
+    asked = 'as asked for' if inputs.arguments.camera_units else 'as Pose2Sim means them'
+    units = (
+        f'; positions in {unit} ({asked}: TOML states no unit)' if TOML in inputs.formats else ''
+    )
+    _say(console, f'calibration {", ".join(inputs.formats)}: {names}{units}')
     for camera in plan.cameras:
         found = camera.detections
         _say(console, f'{camera.camera.name:<11} {found.path} ({found.format})')
     console.print(_streams(plan))
     for camera in plan.cameras:
         _say_joints(console, plan, camera)
-    for warning in _warnings(plan, inputs):
+    for warning in warnings_of(plan, inputs):
         _say(console, f'warning: {warning}')
 
 
@@ -79,22 +87,30 @@ def _say_joints(console: Console, plan: Plan, camera: CameraPlan) -> None:
         return
     joints = plan.skeleton.joints
     pairs = ', '.join(f'{camera.joints[k]} = {joints[j]}' for j, k in camera.pairs)
-    left = {
-        'keypoints without a joint': [
-            n for k, n in enumerate(camera.joints) if k not in {k for _, k in camera.pairs}
-        ],
-        'joints without a keypoint': [
-            n for j, n in enumerate(joints) if j not in {j for j, _ in camera.pairs}
-        ],
-    }
     _say(console, f'{", ".join(same)}: {pairs}')
-    for what, names in left.items():
+    whats = ('keypoints without a joint', 'joints without a keypoint')
+    for what, names in zip(whats, unpaired(plan, camera), strict=True):
         if names:
             _say(console, f'  {what}: {", ".join(names)}')
 
 
-def _warnings(plan: Plan, inputs: Inputs) -> list[str]:
-    warnings = [*plan.skeleton.warnings, *(w for c in plan.cameras for w in c.warnings)]
+def unpaired(plan: Plan, camera: CameraPlan) -> tuple[list[str], list[str]]:
+    """Return the keypoints of a camera, and the joints, that have no partner."""
+    keypoints = {k for _, k in camera.pairs}
+    joints = {j for j, _ in camera.pairs}
+    return (
+        [n for k, n in enumerate(camera.joints) if k not in keypoints],
+        [n for j, n in enumerate(plan.skeleton.joints) if j not in joints],
+    )
+
+
+def warnings_of(plan: Plan, inputs: Inputs) -> list[str]:
+    """Return all that looks wrong."""
+    warnings = [
+        *plan.skeleton.warnings,
+        *plan.warnings,
+        *(w for c in plan.cameras for w in c.warnings),
+    ]
     without = ', '.join(inputs.without_keypoints)
     if without:
         warnings.append(f'no keypoints for {without}: left out')

@@ -16,6 +16,7 @@ from typing import get_args
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
+from rpgd_ros.apps.outcome_json import json_of
 from rpgd_ros.apps.output_folder import check_output, finish, put_in_place, scratch_folder
 from rpgd_ros.apps.progress import bar_columns
 from rpgd_ros.core.errors import InputError, Reason
@@ -70,16 +71,22 @@ def main(argv: Sequence[str] | None = None) -> int:
             _run(arguments, console, stop)
     except InputError as error:
         print(f'simulate: {error.message}', file=sys.stderr)
+        if arguments.json:
+            print(json_of('bad_input', EXIT_BAD_INPUT, error=error))
         return EXIT_BAD_INPUT
     except _StoppedError:
         print('simulate: stopped, nothing was written', file=sys.stderr)
         return EXIT_STOPPED
     output = arguments.output
-    if arguments.format == 'dataset':
+    is_dataset = arguments.format == 'dataset'
+    if arguments.json:
+        files = {'bag': output / BAG, 'rig': output / RIG, 'truth': output / TRUTH}
+        print(json_of('written', EXIT_DONE, files={'dataset': output} if is_dataset else files))
+    elif is_dataset:
         print(f'{output}\nnext: evaluate {output} --dataset {arguments.preset}')
-        return EXIT_DONE
-    print(f'{output / BAG}\n{output / RIG}\n{output / TRUTH}')
-    print(f'next: calibrate_bag {output / BAG} --rig {output / RIG}')
+    else:
+        print(f'{output / BAG}\n{output / RIG}\n{output / TRUTH}')
+        print(f'next: calibrate_bag {output / BAG} --rig {output / RIG}')
     return EXIT_DONE
 
 
@@ -120,6 +127,7 @@ def _parser() -> argparse.ArgumentParser:
         'finds them; truth.yaml has them'
     )
     add('--no-extrinsics', nargs='*', metavar='CAMERA', help=text)
+    add('--json', action='store_true', help='print the outcome as JSON, for programs')
     add('--force', action='store_true', help='replace DIR if it is an older recording')
     return parser
 

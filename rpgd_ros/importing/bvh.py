@@ -64,7 +64,7 @@ def read_bvh(path: Path) -> SkeletonFile:
     if words != ['HIERARCHY']:
         refuse(path, line, 'no BVH file: need HIERARCHY in its first line')
     joints = _hierarchy(path, lines)
-    frame_s, table = _motion(path, lines, sum(len(j.channels) for j in joints))
+    frame_s, fps_line, table = _motion(path, lines, sum(len(j.channels) for j in joints))
     return SkeletonFile(
         path,
         FORMAT,
@@ -72,6 +72,8 @@ def read_bvh(path: Path) -> SkeletonFile:
         frame_s * np.arange(len(table), dtype=np.float64),
         _positions(joints, table),
         notes=_notes(joints[0]),
+        fps_line=fps_line,
+        joints_line=line + 1,
     )
 
 
@@ -143,8 +145,8 @@ def _channels(path: Path, line: int, words: Sequence[str]) -> tuple[str, ...]:
     return found
 
 
-def _motion(path: Path, lines: Iterator[Line], n_channels: int) -> tuple[float, Array]:
-    """Return the frame time, seconds, and the channels (T, C)."""
+def _motion(path: Path, lines: Iterator[Line], n_channels: int) -> tuple[float, int, Array]:
+    """Return the frame time, seconds, its line, and the channels (T, C)."""
     line, words = _next(path, lines)
     if words != ['MOTION']:
         refuse(path, line, f'need MOTION after the hierarchy, got {shown(words[0])}')
@@ -160,7 +162,7 @@ def _motion(path: Path, lines: Iterator[Line], n_channels: int) -> tuple[float, 
     if not 1.0 / MAX_FPS <= frame_s <= MAX_FRAME_TIME_S:
         msg = f'Frame Time {frame_s:g} s is none: write seconds, such as 0.033333 for 30 Hz'
         refuse(path, line, msg)
-    rows = []
+    fps_line, rows = line, []
     for line, words in lines:
         if len(words) != n_channels:
             refuse(path, line, f'{len(words)} numbers, need one for each of {n_channels} channels')
@@ -168,7 +170,7 @@ def _motion(path: Path, lines: Iterator[Line], n_channels: int) -> tuple[float, 
     if len(rows) != n_frames:
         msg = f'{len(rows)} frames follow, but Frames is {n_frames:g}: is the file cut off?'
         refuse(path, frames_line, msg)
-    return frame_s, np.array(rows, dtype=np.float64).reshape(-1, n_channels)
+    return frame_s, fps_line, np.array(rows, dtype=np.float64).reshape(-1, n_channels)
 
 
 def _positions(joints: Sequence[_Joint], table: Array) -> Array:

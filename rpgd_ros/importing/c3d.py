@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -16,15 +17,21 @@ import numpy as np
 
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.importing.skeleton import AXES, MAX_FPS, Axis, SkeletonFile
+from rpgd_ros.importing.skeleton import AXES, MAX_FPS, SAME_RATE, Axis, SkeletonFile
 from rpgd_ros.importing.text import read_bytes, refuse, shown
 
 FORMAT: Final = 'C3D'
 UNITS: Final = {'m': 'm', 'mm': 'mm', 'cm': 'cm', 'in': 'inch', 'inch': 'inch'}
+INTEL: Final = bytes([84])  # processor type; the others write numbers in other ways
 MAGIC: Final = 0x50  # second byte of each C3D file
 CHILD: Final = Path(__file__).with_name('c3d_child.py')
 # The start of Python on a busy machine, and ten times what a megabyte takes.
 START_SECONDS, SECONDS_PER_MIB = 10.0, 1.0
+# Vicon's exporter writes such a section; neither it nor the C3D user guide says what stands in it.
+TIMECODE_NOTE: Final = (
+    'the file has a TIMECODE section, whose layout is not published, so that it is not read: give '
+    '--mocap-timecode as the MoCap program shows it for the first frame of the file'
+)
 
 Parameters = Mapping[str, list[Any]]
 
@@ -59,7 +66,21 @@ def read_c3d(path: Path) -> SkeletonFile:
         values,
         _units(path, parameters),
         up=_axis(up),
+        notes=_notes(data, rate, parameters),
     )
+
+
+def _notes(data: bytes, rate: float, parameters: Parameters) -> tuple[str, ...]:
+    notes = [TIMECODE_NOTE] if parameters['TIMECODE'] else []
+    # ezc3d takes the rate of the parameters for that of the header.
+    processor = data[512 * (data[0] - 1) + 3 :][:1]
+    (stated,) = struct.unpack('<f', data[20:24]) if processor == INTEL else (rate,)
+    if not abs(stated / rate - 1.0) <= SAME_RATE:
+        notes.append(
+            f'the header says {stated:.4g} Hz, POINT:RATE {rate:g} Hz, which is taken: give the '
+            'true rate with --mocap-fps'
+        )
+    return tuple(notes)
 
 
 def _in_a_child(path: Path, seconds: float) -> tuple[Parameters, Array]:

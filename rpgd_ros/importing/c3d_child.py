@@ -39,6 +39,7 @@ def _read(path: str, output: BinaryIO) -> None:
     facts = {key: _values(parameters, key) for key in ('RATE', 'UNITS', 'Y_SCREEN', *labels)}
     facts['FIRST'] = [int(file['header']['points']['first_frame'])]
     facts['SHAPE'] = list(points.shape)
+    facts['TIMECODE'] = sorted(file['parameters'].get('TIMECODE', {}))
     output.write(json.dumps(facts).encode() + b'\n')
     output.write(np.where(residuals < 0.0, np.nan, points).astype('<f8').tobytes())
 

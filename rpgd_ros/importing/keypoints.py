@@ -80,7 +80,7 @@ def read_keypoints(
         if None in document.frames:
             refuse(path, None, 'holds one frame: give the folder of all frames')
         frames = {n: people for n, people in document.frames.items() if n is not None}
-        return _detections(path, [document], frames, min_score)
+        return _detections(path, [document], frames, min_score, {})
     documents: list[Document] = []
     frames = {}
     files = frame_files(path)
@@ -92,7 +92,7 @@ def read_keypoints(
         frames[number] = next(iter(document.frames.values()))
         if progress and i % PROGRESS_EVERY == 0:
             progress(i / len(files))
-    return _detections(path, documents, frames, min_score)
+    return _detections(path, documents, frames, min_score, files)
 
 
 def frame_files(folder: Path) -> dict[int, Path]:
@@ -125,6 +125,7 @@ def _detections(
     documents: Sequence[Document],
     people: Mapping[int, list[Array]],
     min_score: float,
+    files: Mapping[int, Path],
 ) -> Detections:
     with_somebody = sorted(number for number, persons in people.items() if persons)
     if not with_somebody:
@@ -134,7 +135,9 @@ def _detections(
     for number, table in zip(with_somebody, tables, strict=True):
         if len(table) != n_joints:
             msg = f'frame {number} has {len(table)} keypoints, those before {n_joints}: one model '
-            refuse(path, None, f'{msg}per folder')
+            refuse(
+                files.get(number, path), None, f'{msg}per video, all its keypoints in each frame'
+            )
     data = np.stack(tables)
     uv, scores = data[..., :2].copy(), data[..., 2].copy()
     is_missing = (uv == 0.0).all(-1) | ~np.isfinite(data).all(-1)

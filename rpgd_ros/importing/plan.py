@@ -14,6 +14,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.importing.keypoints import Detections
 from rpgd_ros.importing.skeleton import MAX_FPS, Skeleton
+from rpgd_ros.importing.tempo import better_rate
 from rpgd_ros.importing.text import refuse
 from rpgd_ros.io.rig_types import KeypointUnits
 from rpgd_ros.skeletons import CONVENTIONS, joint_names, match_joints
@@ -76,12 +77,16 @@ class Plan:
         skeleton: Of the MoCap.
         cameras: At least one.
         world_frame: Name of the frame of the calibration.
+        timecode: How timecodes were taken; '' = none was used.
+        warnings: What looks wrong beside what skeleton and cameras say.
 
     """
 
     skeleton: Skeleton
     cameras: tuple[CameraPlan, ...]
     world_frame: str
+    timecode: str = ''
+    warnings: tuple[str, ...] = ()
 
 
 def keypoint_joints(text: str) -> tuple[str, ...]:
@@ -132,9 +137,9 @@ def plan_camera(
     try:
         pairs = match_joints(skeleton.joints, names, joint_map)
     except InputError as error:
-        raise InputError(
-            error.reason, f'{skeleton.source.path}, {path}: {error.message}'
-        ) from None
+        source = skeleton.source
+        msg = f'{source.at(source.joints_line)}, {path}: {error.message}'
+        raise InputError(error.reason, f'{msg} (--joint-map KEYPOINT=JOINT)') from None
     first = 1 if detections.first == 1 else 0
     time_s = (start_s or 0.0) + (detections.frames - first) / fps
     begin, end = float(skeleton.time_s[0]), float(skeleton.time_s[-1])
@@ -142,12 +147,17 @@ def plan_camera(
         msg = (
             f'camera {camera.name} runs from {time_s[0]:.3f} to {time_s[-1]:.3f} s, the skeleton '
             f'from {begin:.3f} to {end:.3f} s: they never meet. Give --camera-start '
-            f'{camera.name}=SECONDS, the time of the skeleton file at its first frame'
+            f'{camera.name}=SECONDS, the time of the skeleton file at its first frame, or check '
+            'its timecode'
         )
         refuse(path, None, msg)
     if start_s is None:
         _check_rate(skeleton, camera.name, detections, fps)
     warnings = _check_pixels(camera, detections, units)
+    slow = _tempo(skeleton, camera.name, detections, pairs, fps, float(time_s[0]))
+    if slow and start_s is None:
+        refuse(path, None, slow)
+    warnings += (slow,) if slow else ()
     return CameraPlan(camera, detections, names, pairs, fps, units, time_s, warnings)
 
 
@@ -176,9 +186,42 @@ def _check_rate(skeleton: Skeleton, name: str, detections: Detections, fps: floa
             msg = (
                 f'{steps + 1:.0f} frames at {fps:g} Hz last {steps / fps:.2f} s, the skeleton '
                 f'{length_s:.2f} s; at {rate:g} Hz both would last the same: give --camera-fps '
-                f'{name}={rate:g}, or say that it is chance with --camera-start {name}=0'
+                f'{name}={rate:g} ({_or_mocap(skeleton, fps, rate)}), or say that it is chance '
+                f'with --camera-start {name}=0'
             )
             refuse(detections.path, None, msg)
+
+
+def _or_mocap(skeleton: Skeleton, fps: float, rate: float) -> str:
+    """Return the other way to make a video at one rate fit a skeleton that asks for another."""
+    place = skeleton.source.at(skeleton.source.fps_line)
+    return f'or --mocap-fps {skeleton.fps * fps / rate:.4g}, if the rate of {place} is wrong'
+
+
+def _tempo(
+    skeleton: Skeleton,
+    name: str,
+    detections: Detections,
+    pairs: tuple[tuple[int, int], ...],
+    fps: float,
+    begin_s: float,
+) -> str:
+    """Say at which frame rate the video shows the motion of the skeleton, if not at its own."""
+    joints, keypoints = ([pair[i] for pair in pairs] for i in (0, 1))
+    rate = better_rate(
+        (skeleton.time_s, skeleton.x_mocap[:, joints]),
+        (detections.frames, detections.uv[:, keypoints]),
+        fps,
+        [r for r in COMMON_FPS if abs(r / fps - 1.0) > OTHER_RATE],
+        begin_s - float(detections.frames[0]) / fps - float(skeleton.time_s[0]),
+    )
+    if rate is None:
+        return ''
+    return (
+        f'at {fps:g} Hz the motion of camera {name} is not that of the skeleton, at {rate:g} Hz '
+        f'it is: give --camera-fps {name}={rate:g} ({_or_mocap(skeleton, fps, rate)}), or say '
+        f'that {fps:g} is right with --camera-start {name}=SECONDS'
+    )
 
 
 def _check_pixels(camera: Camera, detections: Detections, units: KeypointUnits) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.importing.text import refuse
+from rpgd_ros.importing.timecode import Timecode
 from rpgd_ros.io.rig import METRES_PER
 from rpgd_ros.skeletons import MAX_JOINTS, landmarks
 
@@ -24,6 +25,7 @@ SMALLEST_BODY_M, LARGEST_BODY_M = 0.05, 5.0
 SMALL_BODY_M, LARGE_BODY_M = 0.5, 2.5
 TYPICAL_BODY_M: Final = 1.5
 BODY_FRAMES: Final = 200  # looked at for size and axes
+SAME_RATE: Final = 0.01  # times with three decimals at 240 Hz
 MAX_FPS: Final = 2000.0  # the fastest systems give 1000
 # The axis that becomes z, after the two that become x and y.
 _TURNS: Final[dict[str, Array]] = {
@@ -47,6 +49,11 @@ class SkeletonFile:
         units_line: Where it does, counted from 1; 0 = no line.
         up: Axis that the file says points up; None = it does not.
         notes: What a user should know.
+        frame_fps: Rate by which frame numbers were made times; None = the file has times.
+        fps_line: Where the rate is stated, counted from 1; 0 = no line.
+        joints_line: Where the joints are named, likewise.
+        timecode: Of the first frame, that the file states.
+        timecode_fps: Its rate, that the file states; '' = it does not.
 
     """
 
@@ -59,11 +66,20 @@ class SkeletonFile:
     units_line: int = 0
     up: Axis | None = None
     notes: tuple[str, ...] = ()
+    frame_fps: float | None = None
+    fps_line: int = 0
+    joints_line: int = 0
+    timecode: Timecode | None = None
+    timecode_fps: str = ''
 
     @property
     def fps(self) -> float:
         """Frames per second."""
         return 1.0 / float(np.median(np.diff(self.time_s)))
+
+    def at(self, line: int) -> str:
+        """Return the file and, where there is one, the line, for a complaint."""
+        return f'{self.path}:{line}' if line else f'{self.path}'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,8 +163,19 @@ def settle(
     absent = [n for n, j in zip(file.joints, np.moveaxis(x, 1, 0), strict=True) if _is_empty(j)]
     if absent:
         warnings.append(f'never seen: {", ".join(absent[:20])}')
-    time_s = file.time_s if fps is None else file.time_s * (file.fps / fps)
+    time_s = _times(file, fps, warnings)
     return Skeleton(file, time_s, x, chosen, up, standing, size_m, tuple(warnings))
+
+
+def _times(file: SkeletonFile, asked: float | None, warnings: list[str]) -> Array:
+    if asked is None:
+        return file.time_s
+    stated = file.frame_fps or file.fps
+    if abs(stated / asked - 1.0) > SAME_RATE:
+        warnings.append(
+            f'the file states {stated:.4g} Hz, --mocap-fps says {asked:g}: taken as {asked:g}'
+        )
+    return file.time_s * (stated / asked)
 
 
 def _check_shape(file: SkeletonFile) -> None:

@@ -5,21 +5,29 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Final
+from typing import Final, TypedDict
 
 import numpy as np
 
 from rpgd_ros.core.errors import Reason
-from rpgd_ros.importing.skeleton import AXES, MAX_FPS, Axis, SkeletonFile
+from rpgd_ros.core.geometry import Array
+from rpgd_ros.importing.skeleton import AXES, MAX_FPS, SAME_RATE, Axis, SkeletonFile
 from rpgd_ros.importing.text import check_times, number, numbers, read_lines, refuse, shown
+from rpgd_ros.importing.timecode import RATES, Timecode, count
 from rpgd_ros.io.rig import METRES_PER
 
 FORMAT: Final = 'CSV'
 LAYOUT: Final = (
     "'time' (s) or 'frame', then three columns per joint: left_hip.x, left_hip.y, left_hip.z (or "
-    'left_hip_x ...); before it lines such as # units: mm, # up: z, # fps: 100'
+    'left_hip_x ...); before it lines such as # units: mm, # up: z, # fps: 100, # timecode: '
+    '10:00:00:00 (of the first frame), # timecode_fps: 25'
 )
-FACTS: Final = ('units', 'up', 'fps')
+FACTS: Final = ('units', 'up', 'fps', 'timecode', 'timecode_fps')
+
+
+class _Timecode(TypedDict):
+    timecode: Timecode | None
+    timecode_fps: str
 
 
 def read_csv(path: Path, fps: float | None = None) -> SkeletonFile:
@@ -52,8 +60,12 @@ def read_csv(path: Path, fps: float | None = None) -> SkeletonFile:
     table = np.array(values).reshape(-1, len(header))
     time_s = table[:, 0]
     check_times(path, time_s, places)
+    rate = None
     if header[0].lower() == 'frame':
-        time_s = time_s / _rate(path, facts, fps)
+        rate = fps if fps is not None and 'fps' not in facts else _rate(path, facts)
+        time_s = time_s / rate
+    elif fps is None and len(time_s) > 1:
+        _check_rate(path, facts, time_s)
     units, line = facts.get('units', ('', 0))
     up = facts.get('up', ('', 0))[0]
     return SkeletonFile(
@@ -65,6 +77,10 @@ def read_csv(path: Path, fps: float | None = None) -> SkeletonFile:
         units or None,
         line,
         up=_axis(up),
+        joints_line=n_before + 1,
+        frame_fps=rate,
+        fps_line=facts.get('fps', ('', 0))[1],
+        **_timecode(path, facts),
     )
 
 
@@ -91,9 +107,7 @@ def _axis(text: str) -> Axis | None:
     return next((axis for axis in AXES if axis == text), None)
 
 
-def _rate(path: Path, facts: dict[str, tuple[str, int]], fps: float | None) -> float:
-    if fps is not None:
-        return fps
+def _rate(path: Path, facts: dict[str, tuple[str, int]]) -> float:
     if 'fps' not in facts:
         refuse(path, None, 'has frame numbers and no rate: give --mocap-fps, or a line # fps: 100')
     text, line = facts['fps']
@@ -101,6 +115,29 @@ def _rate(path: Path, facts: dict[str, tuple[str, int]], fps: float | None) -> f
     if not 0.0 < rate <= MAX_FPS:
         refuse(path, line, f'fps {rate:g} is no frame rate, need 1 to {MAX_FPS:g} Hz')
     return rate
+
+
+def _check_rate(path: Path, facts: dict[str, tuple[str, int]], time_s: Array) -> None:
+    if 'fps' not in facts:
+        return
+    stated, found = _rate(path, facts), 1.0 / float(np.median(np.diff(time_s)))
+    if abs(found / stated - 1.0) > SAME_RATE:
+        msg = (
+            f'fps is {stated:g}, but the times run at {found:.4g} Hz: give the true rate with '
+            '--mocap-fps'
+        )
+        refuse(path, facts['fps'][1], msg)
+
+
+def _timecode(path: Path, facts: dict[str, tuple[str, int]]) -> _Timecode:
+    rate, line = facts.get('timecode_fps', ('', 0))
+    if line and rate not in RATES:
+        refuse(path, line, f'timecode_fps {shown(rate)} is none of {", ".join(RATES)}')
+    text, line = facts.get('timecode', ('', 0))
+    code = Timecode(text, f'{path}:{line}: timecode') if line else None
+    if code is not None and rate:
+        count(code, rate)
+    return {'timecode': code, 'timecode_fps': rate}
 
 
 def _joints(path: Path, line: int, header: list[str]) -> tuple[str, ...]:

@@ -10,12 +10,11 @@ import numpy as np
 
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.importing.skeleton import MAX_FPS, SkeletonFile
+from rpgd_ros.importing.skeleton import MAX_FPS, SAME_RATE, SkeletonFile
 from rpgd_ros.importing.text import check_times, number, numbers, read_lines, refuse, shown
 
 FORMAT: Final = 'TRC'
 UNITS: Final = {'m': 'm', 'meters': 'm', 'metres': 'm', 'mm': 'mm', 'cm': 'cm', 'inches': 'inch'}
-RATE_TOLERANCE: Final = 0.01  # times with three decimals at 240 Hz
 VALUES, NAMES = 3, 4  # lines, counted from 1
 
 
@@ -53,7 +52,16 @@ def read_trc(path: Path, *, check_rate: bool = True) -> SkeletonFile:
     if check_rate and len(time_s) > 1:
         _check_rate(path, rate, frames, time_s)
     return SkeletonFile(
-        path, FORMAT, joints, time_s, values, UNITS[word.lower()], VALUES, notes=notes
+        path,
+        FORMAT,
+        joints,
+        time_s,
+        values,
+        UNITS[word.lower()],
+        VALUES,
+        notes=notes,
+        fps_line=VALUES,
+        joints_line=NAMES,
     )
 
 
@@ -100,7 +108,7 @@ def _rows(lines: list[str], path: Path, n_joints: int) -> tuple[Array, Array, Ar
 
 def _check_rate(path: Path, rate: float, frames: Array, time_s: Array) -> None:
     found = float(np.median(np.diff(frames) / np.diff(time_s)))
-    if abs(found / rate - 1.0) > RATE_TOLERANCE:
+    if abs(found / rate - 1.0) > SAME_RATE:
         msg = (
             f'DataRate is {rate:g} Hz, but the Time column runs at {found:.4g} Hz: give the true '
             'rate with --mocap-fps'
