@@ -46,7 +46,7 @@ setup(
             'ros-rclpy[fastrtps]==7.1.6',
         ],
         # colcon test looks for pytest here, and runs nothing where it finds none.
-        'test': ['pytest>=7.4,<10', 'hypothesis>=6.98,<7'],
+        'test': ['pytest>=7.4,<10', 'pytest-xdist>=3.4,<4', 'hypothesis>=6.98,<7'],
         # Opens the report in a real browser, where chromium is installed.
         'browser': ['playwright>=1.40,<2'],
         'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<3', 'types-PyYAML>=6.0,<7'],

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -13,9 +14,16 @@ from fault_report import measured
 from hypothesis import settings
 from ros_scene import Scene, make_scene
 
+from rpgd_ros.ros import domain
+
 # Before any test imports rclpy or a message: talk to this machine only, and check the fields.
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
+
+# Workers side by side take turns with the ROS domains.
+WORKERS = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
+WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
+domain._numbers = itertools.count(WORKERS * os.getpid() + WORKER, WORKERS)  # noqa: SLF001
 
 # The same cases in each run, and no time limit for one: a busy machine is no fault of the code.
 settings.register_profile('repeatable', derandomize=True, deadline=None, database=None)
