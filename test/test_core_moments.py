@@ -69,16 +69,27 @@ def moved(problem: Problem, state: State, name: str, by: float) -> Scene:
     return replace(scene, sights=sights)
 
 
-@pytest.mark.parametrize('name', NAMES)
-def test_each_derivative_is_the_numeric_one(given: tuple[Problem, State], name: str) -> None:
+# A larger skeleton has larger noise, and so has one that a lens enlarges: the cost at a given noise
+# does not know that, the sums do.
+OF_NOISE = {'radial', 'scale'}
+
+
+@pytest.mark.parametrize(
+    ('name', 'joint_sigma_m'),
+    [(n, 0.0) for n in NAMES] + [(n, 0.02) for n in NAMES if n not in OF_NOISE],
+)
+def test_each_derivative_is_the_numeric_one(
+    given: tuple[Problem, State], name: str, joint_sigma_m: float
+) -> None:
     """A wrong sign would double what it should remove."""
     problem, state = given
+    loss = replace(LOSS, joint_sigma_m=joint_sigma_m)
     n_joints, n_views = len(state.joint_offset), len(problem.sights)
     common = (0,) * n_views
     unknowns = Unknowns(common, common, n_joints, common, common, with_scale=True)
     scene = problem.scene(state)
     system = assemble(
-        sum_moments(scene, state.pose, LOSS), unknowns, scene.sights,
+        sum_moments(scene, state.pose, loss), unknowns, scene.sights,
         state.pose @ problem.centroid_mocap,
     )  # fmt: skip
     joints = [list(range(unknowns.joints.start + k, unknowns.joints.stop, 3)) for k in range(3)]
@@ -90,7 +101,7 @@ def test_each_derivative_is_the_numeric_one(given: tuple[Problem, State], name: 
     # The radius is taken where the lens shows the point.
     slack = 0.1 if name == 'radial' else 0.01
     costs = [
-        sum_moments(moved(problem, state, name, by), state.pose, LOSS, n=N_ESTIMATED).cost
+        sum_moments(moved(problem, state, name, by), state.pose, loss, n=N_ESTIMATED).cost
         for by in (step, -step)
     ]
     assert analytic == pytest.approx((costs[0] - costs[1]) / (2.0 * step), rel=slack)

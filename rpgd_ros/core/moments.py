@@ -176,8 +176,15 @@ def _enlarged(
         away_u = np.where(res.in_view, uv[:, 0] - cx + res.du, 0.0) * root
         away_v = np.where(res.in_view, uv[:, 1] - cy + res.dv, 0.0) * root
     noise = -share * res.du, -share * res.dv
-    r2 = ((away_u / fx) ** 2 + (away_v / fy) ** 2) / root**2
-    return _Enlarged((away_u + noise[0], away_v + noise[1]), (r2 * away_u, r2 * away_v), noise)
+    # k1 enlarges by 1 + 3 r^2 k1 along the radius and by 1 + r^2 k1 across it.
+    along_u, along_v = away_u / (root * fx), away_v / (root * fy)
+    r2 = along_u**2 + along_v**2
+    radial = 2.0 * (along_u * noise[0] + along_v * noise[1])
+    bent = (
+        r2 * (away_u + noise[0]) + radial * along_u,
+        r2 * (away_v + noise[1]) + radial * along_v,
+    )
+    return _Enlarged((away_u + noise[0], away_v + noise[1]), bent, noise)
 
 
 def _add(
