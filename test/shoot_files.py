@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from rpgd_ros.core.geometry import Array
 
@@ -45,14 +46,34 @@ def write_trc(
     path.write_text('\n'.join([*lines, '']))
 
 
-def write_csv(path: Path, joints: Sequence[str], x: Array, head: str = '# units: m\n') -> None:
+def write_csv(
+    path: Path,
+    joints: Sequence[str],
+    x: Array,
+    head: str = '# units: m\n',
+    fps: float = MOCAP_FPS,
+) -> None:
     """Write the documented table."""
     header = ','.join(['time', *(f'{j}.{a}' for j in joints for a in 'xyz')])
     rows = [
-        ','.join([f'{i / MOCAP_FPS:.4f}', *('' if np.isnan(v) else f'{v:.6f}' for v in row)])
+        ','.join([f'{i / fps:.4f}', *('' if np.isnan(v) else f'{v:.6f}' for v in row)])
         for i, row in enumerate(x.reshape(len(x), -1))
     ]
     path.write_text(head + '\n'.join([header, *rows, '']))
+
+
+def write_c3d(
+    path: Path, joints: Sequence[str], x: Array, *, units: str = 'm', fps: float = MOCAP_FPS
+) -> None:
+    """Write with ezc3d, names behind that of a subject; skips the test where it is missing."""
+    file = pytest.importorskip('ezc3d').c3d()
+    point = file['parameters']['POINT']
+    point['UNITS']['value'], point['RATE']['value'] = [units], [fps]
+    point['LABELS']['value'] = [f'Anna:{joint}' for joint in joints]
+    points = np.ones((4, len(joints), len(x)))
+    points[:3] = x.transpose(2, 1, 0)
+    file['data']['points'] = points
+    file.write(str(path))
 
 
 # Orders in which programs write the rotations of a joint.

@@ -21,6 +21,7 @@ from shoot import Shoot, assert_finds, make_shoot, run_import, words_of, write_s
 from shoot_files import (
     write_alphapose,
     write_bvh,
+    write_c3d,
     write_coco,
     write_csv,
     write_labels,
@@ -64,15 +65,7 @@ def _csv(folder: Path, shoot: Shoot) -> dict[str, object]:
 
 
 def _c3d(folder: Path, shoot: Shoot) -> dict[str, object]:
-    ezc3d = pytest.importorskip('ezc3d')
-    file = ezc3d.c3d()
-    file['parameters']['POINT']['UNITS']['value'] = ['mm']
-    file['parameters']['POINT']['RATE']['value'] = [100.0]
-    file['parameters']['POINT']['LABELS']['value'] = [f'Anna:{j}' for j in shoot.joints]
-    points = np.ones((4, len(shoot.joints), len(shoot.x_mocap)))
-    points[:3] = 1000.0 * shoot.x_mocap.transpose(2, 1, 0)
-    file['data']['points'] = points
-    file.write(str(folder / 'a.c3d'))
+    write_c3d(folder / 'a.c3d', shoot.joints, shoot.x_mocap * 1000.0, units='mm')
     return {'skeleton': folder / 'a.c3d'}
 
 
@@ -148,6 +141,30 @@ def test_cameras_have_rates_and_starts_of_their_own(folder: Path, shoot: Shoot) 
         'camera_start': [f'{b}=1.5'],
     }
     assert run_import(*words_of(folder, **changes)) == 0
+    assert_finds(folder / 'out', shoot.world_T_mocap, shoot.x_mocap)
+
+
+@pytest.mark.parametrize('is_stated', [True, False], ids=['in the file', 'as options'])
+def test_timecodes_join_what_was_started_apart(
+    folder: Path, shoot: Shoot, capsys: pytest.CaptureFixture[str], *, is_stated: bool
+) -> None:
+    """A camera that was switched on 1.5 s late, by timecodes that drop numbers over a minute."""
+    a, b = (c.name for c in shoot.cameras)
+    write_coco(folder / 'b.json', shoot.uv[1, 75:])
+    head = '# timecode: 10:00:59;15\n# timecode_fps: 29.97\n' if is_stated else ''
+    write_csv(folder / 'a.csv', shoot.joints, shoot.x_mocap, '# units: m\n' + head)
+    changes: dict[str, object] = {
+        'skeleton': folder / 'a.csv',
+        'keypoints': [f'{a}={folder / f"pose/{a}.json"}', f'{b}={folder / "b.json"}'],
+        'camera_timecode': [f'{a}=10:00:59;15', f'{b}=10:01:01;02'],
+    }
+    if not is_stated:
+        changes |= {'mocap_timecode': '10:00:59;15', 'timecode_fps': '29.97'}
+    assert run_import(*words_of(folder, **changes)) == 0
+    said = capsys.readouterr().out
+    assert 'timecode    10:00:59;15 at the first frame of the skeleton, 29.97 Hz, frame n' in said
+    rows = [line.split() for line in said.splitlines() if '%' in line]
+    assert [row[3] for row in rows] == ['0.000', '1.502']
     assert_finds(folder / 'out', shoot.world_T_mocap, shoot.x_mocap)
 
 

@@ -15,9 +15,16 @@ import numpy as np
 import pytest
 from camera_files import opencv_text, qualisys_text
 from shoot import Shoot, make_shoot, run_import, words_of, write_shoot
-from shoot_files import write_coco, write_openpose, write_trc
+from shoot_files import write_coco, write_csv, write_openpose, write_trc
 
 from rpgd_ros.apps import import_recording
+
+# Both sides with timecode.
+CODES: dict[str, object] = {
+    'mocap_timecode': '10:00:00:00',
+    'camera_timecode': '10:00:00:00',
+    'timecode_fps': '25',
+}
 
 
 @pytest.fixture(scope='module')
@@ -58,7 +65,7 @@ def test_dry_run_says_what_was_understood_and_writes_nothing(
         '800 frames at 100 Hz, 0.000 to 7.990 s; 12 joints',
         'positions in m (stated), body 1.',
         'axes as in the file, body along ',
-        'calibration aniposelib/Pose2Sim TOML: cam0, cam1',
+        'calibration aniposelib/Pose2Sim TOML: cam0, cam1; positions in m (as Pose2Sim means them',
         'left_hip = LHipJC',
         'keypoints without a joint: nose, left_eye',
     ):
@@ -105,6 +112,57 @@ def test_cameras_without_poses_are_said_to_be_placed_later(
     assert 'warning: the calibration gives no poses for several cameras: calibrate_bag' in out
 
 
+def test_timecodes_that_contradict_or_are_not_used_are_said(
+    folder: Path, shoot: Shoot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An option goes before the file, and a video's rate is a multiple of its timecode's."""
+    head = '# units: m\n# timecode: 09:00:00:00\n# timecode_fps: 30\n'
+    write_csv(folder / 'a.csv', shoot.joints, shoot.x_mocap, head)
+    words = {'skeleton': folder / 'a.csv', 'dry_run': True}
+    assert run_import(*words_of(folder, **words)) == 0
+    assert 'has timecode 09:00:00:00, which is not used: give --ca' in capsys.readouterr().out
+    codes = CODES | {'timecode_fps': '29.97'}
+    assert run_import(*words_of(folder, **codes, **words)) == 0
+    said = capsys.readouterr().out
+    for warning in (
+        'the file states timecode at 30 Hz, --timecode-fps says 29.97',
+        'the file states timecode 09:00:00:00, --mocap-timecode says 10:00:00:00',
+        'camera cam0 runs at 50 Hz, its timecode at 29.97: check --camera-fps and --timecode-fps',
+    ):
+        assert f'warning: {warning}' in said
+
+
+def test_json_says_what_was_understood_and_nothing_else(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Streams, joints, units and files; the same with --dry-run, but without files."""
+    trees = []
+    for changes in ({'dry_run': True}, {}):
+        assert run_import(*words_of(folder, json=True, **changes)) == 0
+        trees.append(json.loads(capsys.readouterr().out))
+    dry, wet = trees
+    assert (dry['status'], dry['files']) == ('understood', {})
+    files = {'bag': str(folder / 'out/bag'), 'rig': str(folder / 'out/rig.yaml')}
+    assert (wet['status'], wet['exit_code'], wet['files']) == ('written', 0, files)
+    for key in ('skeleton', 'cameras', 'warnings', 'timecode'):
+        assert dry[key] == wet[key]
+    assert (dry['skeleton']['units'], dry['skeleton']['fps']) == ('m', pytest.approx(100.0))
+    assert [c['camera'] for c in dry['cameras']] == ['cam0', 'cam1']
+    assert dry['cameras'][0]['pairs']['left_hip'] == 'LHipJC'
+    assert 'nose' in dry['cameras'][0]['keypoints_without_joint']
+
+
+def test_json_of_bad_input_has_the_reason(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """For scripts; people read the same sentence on the error output."""
+    assert run_import(*words_of(folder, json=True, units='mm')) == 2
+    captured = capsys.readouterr()
+    tree = json.loads(captured.out)
+    assert (tree['status'], tree['exit_code'], tree['reason']) == ('bad_input', 2, 'wrong_unit')
+    assert captured.err.strip() == f'import_recording: {tree["message"]}'
+
+
 def test_unforeseen_error_is_reported_as_one(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -130,6 +188,20 @@ def test_unforeseen_error_is_reported_as_one(
         ({'camera_fps': ['cam7=50']}, "no camera 'cam7' in the calibration"),
         ({'camera_fps': ['fast']}, "--camera-fps needs a number up to 2000, got 'fast'"),
         ({'camera_fps': [0]}, '--camera-fps needs a number'),
+        (
+            {'camera_timecode': '10:00:00:00'},
+            'TRC states no timecode: give that of its first frame',
+        ),
+        ({'mocap_timecode': '10:00:00:00'}, 'of no use without --camera-timecode [CAMERA=]'),
+        (
+            CODES | {'timecode_fps': None},
+            'rate of the timecode is not known, and it is not always',
+        ),
+        (CODES | {'camera_start': 0}, 'camera cam0 has both --camera-start and --camera-timecode'),
+        (CODES | {'camera_timecode': 'cam0=10:00:00:00'}, 'cam1 has neither --camera-start nor'),
+        (CODES | {'camera_timecode': 'cam7=10:00:00:00'}, "--camera-timecode: no camera 'cam7'"),
+        (CODES | {'camera_timecode': '10:00:00:27'}, "of cam0: '10:00:00:27': frame 27 of a se"),
+        (CODES | {'camera_timecode': '11:00:00:00'}, 'at its first frame, or check its timecode'),
         ({'mocap_fps': -1}, '--mocap-fps must be 1 to 2000'),
         ({'keypoint_joints': None}, '17 keypoints without names: give --keypoint-joints (coco17'),
         ({'keypoint_joints': 'body25'}, '17 keypoints, but 25 names: check --keypoint-joints'),

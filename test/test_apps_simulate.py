@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -43,6 +44,20 @@ def test_recording_is_written_whole(tmp_path: Path, capsys: pytest.CaptureFixtur
         yaml.safe_load((output / 'truth.yaml').read_text())['world_T_mocap']['matrix']
     ).shape == (4, 4)
     assert f'next: calibrate_bag {output}/bag --rig {output}/rig.yaml' in capsys.readouterr().out
+
+
+def test_json_names_the_files_or_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One object, and nothing else, for scripts."""
+    words = [*SHORT, '--output', str(tmp_path / 'demo'), '--json']
+    assert simulate.main(words) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert (tree['status'], tree['exit_code']) == ('written', 0)
+    assert {Path(path).name for path in tree['files'].values()} == FILES
+    assert simulate.main(words) == 2
+    tree = json.loads(capsys.readouterr().out)
+    assert (tree['status'], tree['reason'], tree['files']) == ('bad_input', 'not_writable', {})
 
 
 def test_same_seed_writes_the_same_messages(tmp_path: Path) -> None:

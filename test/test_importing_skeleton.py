@@ -108,6 +108,8 @@ def test_rate_that_is_asked_for_stretches_the_times() -> None:
     found = settle(make_file(time_s=time_s), fps=100.0)
     np.testing.assert_allclose(found.time_s, time_s / 2.0)
     assert found.fps == pytest.approx(100.0)
+    assert found.warnings == ('the file states 50 Hz, --mocap-fps says 100: taken as 100',)
+    assert settle(make_file(), fps=50.0).warnings == ()
 
 
 def test_zeros_are_missing_and_joints_without_data_are_said() -> None:

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from shoot_files import write_bvh, write_csv, write_trc
+from shoot_files import write_bvh, write_c3d, write_csv, write_trc
 
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.importing import c3d, text
+from rpgd_ros.importing.skeleton import settle
 from rpgd_ros.importing.skeleton_files import read_skeleton
 from rpgd_ros.skeletons import CONVENTIONS
 
@@ -169,6 +170,24 @@ def test_c3d_is_read_through_its_library(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.values[0], 1000.0 * x[0], rtol=1e-5)
 
 
+def test_c3d_with_a_timecode_or_two_rates_says_so(tmp_path: Path) -> None:
+    """A section that is not published is not guessed at; the parameters' rate is taken."""
+    ezc3d = pytest.importorskip('ezc3d')
+    path = tmp_path / 'a.c3d'
+    write_c3d(path, JOINTS, body(4), fps=50.0)
+    assert read_skeleton(path).notes == ()
+    file = ezc3d.c3d(str(path))
+    file.add_parameter('TIMECODE', 'STANDARD', [30])
+    file.write(str(path))
+    data = path.read_bytes()
+    path.write_bytes(data[:20] + struct.pack('<f', 25.0) + data[24:])
+    found = read_skeleton(path)
+    assert found.fps == pytest.approx(50.0)
+    assert 'has a TIMECODE section' in found.notes[0]
+    assert '--mocap-timecode' in found.notes[0]
+    assert 'the header says 25 Hz, POINT:RATE 50 Hz, which is taken: give' in found.notes[1]
+
+
 @pytest.mark.parametrize(
     ('old', 'new', 'message'),
     [
@@ -280,6 +299,8 @@ def test_damaged_c3d_is_refused(tmp_path: Path, data: bytes) -> None:
         (CSV, ';5;6\n2', ';5\n2', ':4: 6 columns, the header has 7'),
         (CSV, 'head_Z\n0', 'head_Z\n7', ':5: time goes from 7 to 2 s'),
         (CSV, '# up: y', '# fps: none', r":2: fps: need a number, got 'none'"),
+        (CSV.replace('frame', 'time'), '# up: y', '# fps: 25',
+         ':2: fps is 25, but the times run at 0.5 Hz: give the true rate with --mocap-fps'),
     ],
 )  # fmt: skip
 def test_fault_is_named_with_file_and_line(
@@ -301,6 +322,9 @@ def test_csv_with_frame_numbers_needs_a_rate(tmp_path: Path) -> None:
         read_skeleton(path)
     path.write_text('# fps: 100\n' + CSV)
     np.testing.assert_allclose(read_skeleton(path).time_s, [0.0, 0.02])
+    path.write_text(CSV)
+    found = read_skeleton(path, 100.0)
+    np.testing.assert_allclose(settle(found, units='m', fps=100.0).time_s, [0.0, 0.02])
 
 
 def test_unknown_unit_has_the_code_of_a_wrong_unit(tmp_path: Path) -> None:
