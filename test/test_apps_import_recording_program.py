@@ -10,10 +10,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from camera_files import opencv_text, qualisys_text
+from rich.progress import Progress, TaskID
 from shoot import Shoot, make_shoot, run_import, words_of, write_shoot
 from shoot_files import write_coco, write_csv, write_openpose, write_trc
 
@@ -130,6 +132,20 @@ def test_timecodes_that_contradict_or_are_not_used_are_said(
         'camera cam0 runs at 50 Hz, its timecode at 29.97: check --camera-fps and --timecode-fps',
     ):
         assert f'warning: {warning}' in said
+
+
+def test_each_stage_has_a_bar(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading the skeleton and each camera, and writing."""
+    begun: list[str] = []
+
+    class Bars(Progress):
+        def add_task(self, description: str, *words: Any, **more: Any) -> TaskID:
+            begun.append(description)
+            return super().add_task(description, *words, **more)
+
+    monkeypatch.setattr(import_recording, 'Progress', Bars)
+    assert run_import(*words_of(folder)) == 0
+    assert begun == ['skeleton', 'cam0', 'cam1', 'writing']
 
 
 def test_json_says_what_was_understood_and_nothing_else(
