@@ -20,9 +20,12 @@ if TYPE_CHECKING:
     from rpgd_ros.core.geometry import Array, IntArray, RigidTransform
     from rpgd_ros.core.result import Calibration
 
-GOOD_RATIO = 0.6  # share of inliers above which nothing needs explaining
+GOOD_RATIO = 0.6  # share of inliers above which nothing needs explaining, unless
+MOST_SWAPPED = 0.5  # of the joints are: a body without a midline is its own mirror, but for noise
 MIN_COST_RATIO = 1.25  # squared error of the second minimum over the first, to tell them apart
 SWAP_FRAMES = 20  # per camera
+TINY_PX = 1e-6  # that places of one joint under two names may be apart
+NEAR = 2.0  # times the distance to the nearest joint: a keypoint lies on each of these
 LOST, FOUND = 0.15, 0.5  # a swapped joint agrees with itself less often, with its twin more often
 MIN_SWAPPED_PAIRS = 2  # one pair alone may be a mistake in the joint map
 MIRROR_GAIN = 4.0  # in squared error, of the mirrored skeleton over the given one
@@ -58,10 +61,10 @@ def refuse_ambiguous(ratio: float, calibration: Calibration | None = None) -> No
 
 def refuse_swapped(sights: Sequence[Sight], calibration: Calibration) -> None:
     """Raise SWAPPED_LABELS where joints lie on each other's projection in nearly every frame."""
-    if calibration.inlier_ratio > GOOD_RATIO:
-        return
     names = list(calibration.per_joint)
     pairs = swapped_joints(sights, calibration.world_T_mocap, calibration.threshold_px)
+    if calibration.inlier_ratio > GOOD_RATIO and 2 * len(pairs) < MOST_SWAPPED * len(names):
+        return
     if len(pairs) >= MIN_SWAPPED_PAIRS:
         listed = ', '.join(f'{names[a]} and {names[b]}' for a, b in pairs[:3])
         msg = (
@@ -74,7 +77,11 @@ def refuse_swapped(sights: Sequence[Sight], calibration: Calibration) -> None:
 def swapped_joints(
     sights: Sequence[Sight], pose: RigidTransform, threshold_px: float
 ) -> list[tuple[int, int]]:
-    """Find pairs of joints whose keypoints lie on each other's projection instead of their own."""
+    """Find pairs of joints whose keypoints lie on each other's projection instead of their own.
+
+    Nearer than the threshold, and than to the others: where all labels are swapped, the breadth of
+    the body is taken for noise, and the threshold is wider than the body.
+    """
     n_joints = sights[0].view.n_joints
     hits, counts = np.zeros((2, n_joints, n_joints))
     for sight in sights:
@@ -85,7 +92,9 @@ def swapped_joints(
         # (F, keypoint, projection): who lies on whom.
         apart = uv[:, :, None] - projected[:, None]
         distance = np.hypot(apart[..., 0], apart[..., 1])
-        hits += (distance < threshold_px).sum(0)
+        with np.errstate(invalid='ignore'):
+            nearest = np.fmin.reduce(distance, axis=2, keepdims=True)
+            hits += (distance < np.minimum(threshold_px, NEAR * nearest + TINY_PX)).sum(0)
         counts += np.isfinite(distance).sum(0)
     ratio: Array = hits / np.maximum(counts, 1.0)
     own = np.diag(ratio)
