@@ -82,8 +82,13 @@ def wrong_person(folder: Path) -> None:
     write_recording(studio(faults=Faults(Corruption(0.97, 'person'))), folder)
 
 
+def swapped(folder: Path) -> None:
+    """All detectors take left for right: of a body without a midline, its own mirror."""
+    write_recording(studio(faults=Faults(Corruption(1.0, 'swap'))), folder)
+
+
 BAD: Mapping[str, Callable[[Path], None]] = {
-    make.__name__: make for make in (still, bumped, one_wrong_person, wrong_person)
+    make.__name__: make for make in (still, bumped, one_wrong_person, wrong_person, swapped)
 }
 
 

@@ -178,10 +178,8 @@ def _histogram(look: Look, key: str) -> Figure:
         'annotations': [{'x': threshold, 'y': 1, 'yref': 'paper', 'text': 'agrees below',
                          'showarrow': False, 'xanchor': 'left', 'font': {'color': '@bad'}}],
     }  # fmt: skip
-    text = (
-        f'Histogram of the residuals: median {number(float(np.median(errors)), 2, "px")}; '
-        f'the last bar holds the {n_beyond} beyond.'
-    )
+    text = f'Histogram of the residuals: median {number(float(np.median(errors)), 2, "px")}'
+    text += f'; the last bar holds the {n_beyond} beyond.' if n_beyond else '.'
     return Figure(f'{key}-histogram', text, traces, layout, 240)
 
 

@@ -18,7 +18,7 @@ from rpgd_ros.report.blocks import Block, Figure, Section, Side
 from rpgd_ros.report.case import Case
 from rpgd_ros.report.measure import Measured, measure
 from rpgd_ros.report.sections import SECTIONS
-from rpgd_ros.report.verdict import Verdict, judge
+from rpgd_ros.report.verdict import Verdict, is_of_nothing, judge
 
 PAGE = Path(__file__).parent / 'page'
 NEEDED = {'plotly': 'plotly', 'jinja2': 'Jinja2'}  # modules and what pip calls them
@@ -81,7 +81,8 @@ def page_of(measured: Measured, verdict: Verdict) -> str:
         verdict=verdict,
         case=case,
         calibration=c,
-        warnings=_not_said(case, verdict),
+        warnings=[] if is_of_nothing(measured) else _not_said(case, verdict),
+        asides=_not_said(case, verdict) if is_of_nothing(measured) else [],
         when=when,
         sections=sections,
         figures=[_script(figure) for figure in _figures(sections)],

@@ -11,6 +11,7 @@ import numpy as np
 from rpgd_ros.core import Camera, RigidTransform
 from rpgd_ros.core.agreement import LOST_MARGIN
 from rpgd_ros.core.diagnose import swapped_joints
+from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.observations import NS_PER_S, View
@@ -22,6 +23,8 @@ MAX_FRAMES = 4000  # per camera: two minutes at 30 Hz; 15 MB of arrays for 28 jo
 # Of a moved camera: residuals scatter less than half of what they share, which is a tenth of the
 # image at most. Another person is farther off, and walks.
 MOST_SCATTER, MOST_SHIFT = 0.5, 0.1
+# What is wrong with all cameras alike: where one fits less, it looks from another side.
+OF_ALL = frozenset({Reason.SWAPPED_LABELS, Reason.MIRRORED_AXES, Reason.WRONG_UNIT})
 TIME_BINS = 120  # of the whole recording, at most
 UP_FROM = ('left_ankle', 'right_ankle', 'left_hip', 'right_hip')
 UP_TO = ('left_shoulder', 'right_shoulder', 'head', 'nose', 'neck')
@@ -126,6 +129,9 @@ class Measured:
     @cached_property
     def lost(self) -> dict[str, float]:
         """Cameras that follow something else in far more frames than the others, and how many."""
+        refusal = self.case.refusal
+        if refusal is not None and refusal.reason in OF_ALL:
+            return {}
         ratio = np.array([look.lost_ratio for look in self.looks])
         found = {}
         for v, look in enumerate(self.looks):

@@ -34,6 +34,7 @@ from rpgd_ros.report.forms import forms
 from rpgd_ros.report.found import beside, placed
 from rpgd_ros.report.measure import TIME_BINS, Measured, swapped_names
 from rpgd_ros.report.room import room
+from rpgd_ros.report.verdict import FEW
 
 TWO_THIRDS = (0.16, 0.5, 0.84)  # quantiles
 ROW_PX, MAP_PX = 26, 110  # height of a camera's row in a map, and of what is around
@@ -133,7 +134,8 @@ def times(measured: Measured) -> Section | None:
     c = measured.case.calibration
     if c is None or not measured.looks:
         return None
-    return Section('time', 'Time', (_agreement(measured),))
+    is_lost = c.inlier_ratio < FEW
+    return Section('time', 'Time', (_agreement(measured),), is_marked=is_lost)
 
 
 def _agreement(measured: Measured) -> Figure:

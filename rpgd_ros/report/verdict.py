@@ -14,6 +14,10 @@ from rpgd_ros.core.result import Calibration
 from rpgd_ros.report.blocks import Link, number, percent
 from rpgd_ros.report.measure import Measured, swapped_names
 
+# Hardly anything that a solve then says of clocks and lenses is so: it fitted another thing.
+OF_NOTHING = frozenset({
+    Reason.TOO_FEW_INLIERS, Reason.SWAPPED_LABELS, Reason.MIRRORED_AXES, Reason.WRONG_UNIT,
+})  # fmt: skip
 UNSURE = frozenset({Reason.UNCERTAIN, Reason.AMBIGUOUS})
 # Share of agreeing keypoints: detectors of the right person have 0.6 to 0.95.
 FEW = 0.3
@@ -137,6 +141,12 @@ def _told_reason(measured: Measured, reason: Reason) -> Reason:
     return reason
 
 
+def is_of_nothing(measured: Measured) -> bool:
+    """Whether the best pose is none: what was found beside it does not count."""
+    refusal = measured.case.refusal
+    return refusal is not None and _told_reason(measured, refusal.reason) in OF_NOTHING
+
+
 def camera_key(measured: Measured, name: str) -> str:
     """Return the key of a camera's section."""
     names = [look.camera.name for look in measured.looks]
@@ -193,7 +203,9 @@ def _places(measured: Measured) -> Iterator[Link]:
     for name, share in measured.lost.items():
         if name in measured.moved:
             continue
-        yield Link(_lost(measured, name, share), camera_key(measured, name))
+        warned = [w for w in case.warnings if w.startswith(f'camera {name} follows')]
+        text = warned[0] if warned else _lost(measured, name, share)
+        yield Link(text, camera_key(measured, name))
     if c is not None and reason is Reason.TOO_FEW_INLIERS:
         yield Link('When which camera agreed', 'time')
         for name, fit in c.per_camera.items():

@@ -2,6 +2,7 @@
 // Draws the figures when they come into view, in the colours of the page's theme.
 'use strict';
 (() => {
+  const WHOLE_ROOM_PX = 480; // where the room fits as it stands; a narrow figure cuts its sides
   const root = document.documentElement;
   const dark = matchMedia('(prefers-color-scheme: dark)');
   const figures = new Map();
@@ -42,6 +43,12 @@
       ...own,
       uirevision: key,
     };
+    const { width } = document.getElementById(key).getBoundingClientRect();
+    if (own.scene && width < WHOLE_ROOM_PX) {
+      const { eye } = own.scene.camera;
+      const farther = Math.min(WHOLE_ROOM_PX / width, 2);
+      for (const side of Object.keys(eye)) eye[side] *= farther;
+    }
     whole.xaxis = { ...axis, ...own.xaxis };
     whole.yaxis = { ...axis, ...own.yaxis };
     return whole;
@@ -105,12 +112,17 @@
       drawAgain();
     });
     dark.addEventListener('change', () => { setTheme(wanted()); drawAgain(); });
-    // Paper is light and holds all figures.
+    // Paper is light, has a width of its own and holds all figures.
     addEventListener('beforeprint', () => {
+      root.classList.add('paper');
       setTheme('light');
       for (const key of figures.keys()) draw(key);
     });
-    addEventListener('afterprint', () => { setTheme(wanted()); drawAgain(); });
+    addEventListener('afterprint', () => {
+      root.classList.remove('paper');
+      setTheme(wanted());
+      drawAgain();
+    });
     root.dataset.ready = 'yes';
   };
   unpack().then(begin).catch((error) => {
