@@ -16,9 +16,9 @@ INLINE = re.compile(r'\$`([^`]*)`\$')
 MACROS = frozenset(
     re.findall(
         r'\w+',
-        """Big Sigma alpha bar begin beta delta dot ell end exp frac gamma ge hat in lVert lambda left
-        log lvert mathcal mathrel mathrm max mid nu omega partial pi qquad quad rVert rho right
-        rvert sigma sim sqrt sum tag tau text tfrac theta times to top varepsilon""",
+        """Big Sigma alpha bar begin beta delta dot ell end exp frac gamma ge hat in lVert lambda
+        left log lvert mathcal mathrel mathrm max mid nu omega partial pi qquad quad rVert rho
+        right rvert sigma sim sqrt sum tag tau text tfrac theta times to top varepsilon""",
     )
 )
 WITH_EQUATIONS = [page for page in PAGES if '$`' in page.read_text()]
