@@ -188,12 +188,21 @@ def test_the_annotated_recording_is_the_input_and_the_result(
     assert {topic: found.counts[topic] for topic in before} == before
     assert set(found.counts) - set(before) == {
         '/tf_static', '/rpgd_calibrator/transform', '/rpgd_calibrator/skeleton_world',
-        '/rpgd_calibrator/markers',
+        '/rpgd_calibrator/markers', '/rpgd_calibrator/pose', '/rpgd_calibrator/status',
+        '/rpgd_calibrator/reprojection_error',
         *(f'/rpgd_calibrator/cam{i}/reprojection' for i in range(4)),
     }  # fmt: skip
     assert {'/tf_static', '/rpgd_calibrator/transform'} <= found.latched
     transform = found.first['/rpgd_calibrator/transform'][0]
     assert (transform.header.frame_id, transform.child_frame_id) == ('world', 'mocap')
+    pose = found.first['/rpgd_calibrator/pose'][0]
+    assert pose.pose.pose.orientation == transform.transform.rotation
+    covariance = np.reshape(pose.pose.covariance, (6, 6))
+    np.testing.assert_array_equal(covariance, covariance.T)
+    assert 0.0 < np.sqrt(covariance[0, 0]) < 5e-3  # metres: ROS has the translation first
+    status = found.first['/rpgd_calibrator/status'][0].data
+    assert re.fullmatch(r'Calibrated from the recording: .* px \(median\), .* mm\.', status)
+    assert 0.0 < found.first['/rpgd_calibrator/reprojection_error'][0].data < 20.0
     t = transform.transform.translation
     np.testing.assert_allclose([t.x, t.y, t.z], truth_of(walk).translation, atol=5e-3)
     (link,) = found.first['/tf_static'][0].transforms
@@ -228,6 +237,30 @@ def test_reprojections_lie_on_the_keypoints_of_the_same_stamp(run: Run, tmp_path
     assert {m.header.frame_id for m in markers} == {'world'}
     assert {m.text for m in markers} >= {'cam0', 'cam1', 'cam2', 'cam3'}
     assert all(len(m.points) % 2 == 0 for m in markers)
+
+
+def test_layouts_of_foxglove_and_rviz_find_their_topics_in_an_annotated_recording(
+    run: Run, tmp_path: Path
+) -> None:
+    """But for the diagnostics of a running node; types are those that the panels take."""
+    path = tmp_path / 'annotated.mcap'
+    assert run('--annotated', path).code == 0
+    with open_bag(path) as bag:
+        types = {topic: info.msgtype for topic, info in bag.topics.items()}
+    config = Path(__file__).resolve().parents[1] / 'config'
+    panels = json.loads((config / 'foxglove.json').read_text())['configById']
+    paths = [panels['RawMessages!status']['topicPath']]
+    paths += [path['value'] for path in panels['Plot!error']['paths']]
+    shown = {path.partition('.')[0] for path in paths} | set(panels['3D!rpgd']['topics'])
+    displays = yaml.safe_load((config / 'rpgd_ros.rviz').read_text())['Visualization Manager'][
+        'Displays'
+    ]
+    in_rviz = {d['Topic']['Value']: d['Class'] for d in displays if 'Topic' in d}
+    assert shown | set(in_rviz) <= set(types)
+    for topic, display in in_rviz.items():
+        assert (
+            types[topic].rpartition('/')[2].removesuffix('Stamped') == display.rpartition('/')[2]
+        )
 
 
 def test_an_annotated_recording_replaces_nothing(run: Run, tmp_path: Path) -> None:

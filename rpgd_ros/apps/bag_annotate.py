@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Copies a recording with what a calibration says, on the node's topics: for Foxglove and RViz.
 
-/tf_static, <node>/transform          the transform, once, latched
+/tf_static, <node>/transform, pose    the transform, once, latched
+<node>/status, reprojection_error     how good it is, once, latched
 <node>/skeleton_world                 every skeleton in the world
 <node>/<camera>/reprojection          the skeleton in the image, at every keypoint message
 <node>/markers                        bones in the world, cameras with their names
@@ -28,11 +29,17 @@ from rpgd_ros.io.bag import Bag, BagWriter, absolute_name, open_bag
 from rpgd_ros.messages import POINT_CLOUD2, encode_point_cloud2
 from rpgd_ros.messages.image import MAX_IMAGE_BYTES
 from rpgd_ros.messages.markers import (
+    FLOAT64,
     MARKER_ARRAY,
+    POSE_WITH_COVARIANCE,
+    STRING,
     TRANSFORM_STAMPED,
     Colour,
     Marker,
     encode_markers,
+    encode_number,
+    encode_pose,
+    encode_text,
     encode_transform,
 )
 from rpgd_ros.messages.tf import TF_MESSAGE, Link, encode_tf
@@ -41,6 +48,10 @@ from rpgd_ros.skeletons import edges
 
 NODE: Final = '/rpgd_calibrator'
 TF_STATIC: Final = '/tf_static'
+ONCE: Final = {
+    'transform': TRANSFORM_STAMPED, 'pose': POSE_WITH_COVARIANCE, 'status': STRING,
+    'reprojection_error': FLOAT64,
+}  # fmt: skip
 BONES_COLOUR: Final[Colour] = (0.95, 0.6, 0.1, 1.0)
 CAMERA_COLOUR: Final[Colour] = (0.35, 0.6, 0.9, 1.0)
 MOVED_COLOUR: Final[Colour] = (0.95, 0.2, 0.15, 1.0)
@@ -144,7 +155,8 @@ def _declare(bag: Bag, writer: BagWriter, said: list[str]) -> dict[str, str]:
             copied[topic] = info.msgtype
     if TF_STATIC not in copied:
         writer.declare(TF_STATIC, TF_MESSAGE, is_latched=True)
-    writer.declare(f'{NODE}/transform', TRANSFORM_STAMPED, is_latched=True)
+    for name, msgtype in ONCE.items():
+        writer.declare(f'{NODE}/{name}', msgtype, is_latched=True)
     return copied
 
 
@@ -156,6 +168,7 @@ class _Scene:
             msg = 'there is no result to put into a recording'
             raise InputError(Reason.NO_DATA, msg)
         self._world_frame, self._mocap_frame = run.frames
+        self._calibration = run.calibration
         self._pose = run.calibration.world_T_mocap
         self._skeletons: Array = run.snapshot.skeletons.values
         self._bones = edges(run.snapshot.joint_names)
@@ -185,8 +198,20 @@ class _Scene:
         """Yield what stands before everything else."""
         link = Link(self._world_frame, self._mocap_frame, self._pose, stamp_ns)
         yield Message(TF_STATIC, TF_MESSAGE, encode_tf([link]))
-        stamped = encode_transform(stamp_ns, self._world_frame, self._mocap_frame, self._pose)
-        yield Message(f'{NODE}/transform', TRANSFORM_STAMPED, stamped)
+        c = self._calibration
+        payloads = {
+            'transform': encode_transform(
+                stamp_ns, self._world_frame, self._mocap_frame, self._pose
+            ),
+            'pose': encode_pose(stamp_ns, self._world_frame, self._pose, c.covariance),
+            'status': encode_text(
+                f'Calibrated from the recording: {c.median_px:.1f} px (median), uncertain by '
+                f'{c.sigma_rotation_deg:.2f} deg and {c.sigma_position_m * 1e3:.1f} mm.'
+            ),
+            'reprojection_error': encode_number(c.mpjpe_px),
+        }
+        for name, payload in payloads.items():
+            yield Message(f'{NODE}/{name}', ONCE[name], payload)
 
     def added(self, topic: str, payload: bytes) -> Iterator[Message]:
         """Yield what follows a message of the recording, where its stamp was used."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines and names for RViz and Foxglove: visualization_msgs/MarkerArray, written without ROS."""
+"""Lines, names and figures for RViz and Foxglove, written without ROS."""
 
 from __future__ import annotations
 
@@ -14,6 +14,11 @@ from rpgd_ros.messages.cdr import CdrWriter
 
 MARKER_ARRAY: Final = 'visualization_msgs/msg/MarkerArray'
 TRANSFORM_STAMPED: Final = 'geometry_msgs/msg/TransformStamped'
+POSE_WITH_COVARIANCE: Final = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+STRING: Final = 'std_msgs/msg/String'
+FLOAT64: Final = 'std_msgs/msg/Float64'
+# Of a pose ROS has x y z rotX rotY rotZ; ours is rotation first.
+ROS_ORDER: Final = np.array([3, 4, 5, 0, 1, 2])
 LINE_LIST: Final = 5
 TEXT: Final = 9
 ADD: Final = 0
@@ -73,6 +78,35 @@ def encode_transform(
     writer = CdrWriter().header(stamp_ns, parent).string(child)
     writer.numbers('d', *parent_T_child.translation.tolist())
     return writer.numbers('d', *parent_T_child.quat_xyzw.tolist()).done()
+
+
+def encode_pose(stamp_ns: int, parent: str, pose: RigidTransform, covariance: Array) -> bytes:
+    """Serialise a geometry_msgs/PoseWithCovarianceStamped.
+
+    Args:
+        stamp_ns: Stamp.
+        parent: Frame that the pose is in.
+        pose: The pose.
+        covariance: (6, 6) of (d_rot [rad], d_t [m]), axes of the parent frame.
+
+    Raises:
+        InputError: A stamp or a frame that cannot be sent.
+
+    """
+    writer = CdrWriter().header(stamp_ns, parent).numbers('d', *pose.translation.tolist())
+    writer.numbers('d', *pose.quat_xyzw.tolist())
+    ordered = covariance[np.ix_(ROS_ORDER, ROS_ORDER)]
+    return writer.numbers('d', *ordered.ravel().tolist()).done()
+
+
+def encode_text(text: str) -> bytes:
+    """Serialise a std_msgs/String."""
+    return CdrWriter().string(text).done()
+
+
+def encode_number(value: float) -> bytes:
+    """Serialise a std_msgs/Float64."""
+    return CdrWriter().numbers('d', value).done()
 
 
 def _write(writer: CdrWriter, marker: Marker) -> None:
