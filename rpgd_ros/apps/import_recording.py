@@ -30,6 +30,7 @@ from rpgd_ros.importing import (
     TIMECODE_RATES,
     Plan,
     check_plan,
+    check_scale,
     plan_camera,
     read_keypoints,
     read_skeleton,
@@ -204,6 +205,7 @@ def _read(inputs: Inputs, progress: Callable[[str, float], None]) -> Plan:
         )
     plan = Plan(skeleton, tuple(plans), options.world_frame, clock.timecode, clock.warnings)
     check_plan(plan)
+    check_scale(plan, ', '.join(str(path) for path in options.cameras), options.camera_units)
     return plan
 
 

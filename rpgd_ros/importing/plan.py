@@ -13,7 +13,7 @@ from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.importing.keypoints import Detections
-from rpgd_ros.importing.skeleton import MAX_FPS, Skeleton
+from rpgd_ros.importing.skeleton import MAX_FPS, SAME_RATE, Skeleton
 from rpgd_ros.importing.tempo import better_rate
 from rpgd_ros.importing.text import refuse
 from rpgd_ros.io.rig_types import KeypointUnits
@@ -37,6 +37,7 @@ ORDERS: Final[Mapping[str, tuple[str, ...]]] = {
     ),
 }
 COMMON_FPS: Final = (24, 25, 29.97, 30, 50, 59.94, 60, 100, 119.88, 120, 240)
+NTSC: Final = 0.002  # 30 Hz may mean 29.97
 SAME_LENGTH: Final = 0.005  # by chance, one pair of recordings in thirty agrees as well
 OTHER_RATE: Final = 0.02
 NORMALIZED: Final = 1.5  # keypoints of a person beyond the edge of the image
@@ -181,7 +182,7 @@ def _check_rate(skeleton: Skeleton, name: str, detections: Detections, fps: floa
     steps = float(detections.frames[-1] - detections.first)
     if abs(steps / fps / length_s - 1.0) <= OTHER_RATE:
         return
-    for rate in COMMON_FPS:
+    for rate in reversed(COMMON_FPS):
         if abs(steps / rate / length_s - 1.0) <= SAME_LENGTH and abs(rate / fps - 1) > OTHER_RATE:
             msg = (
                 f'{steps + 1:.0f} frames at {fps:g} Hz last {steps / fps:.2f} s, the skeleton '
@@ -193,9 +194,13 @@ def _check_rate(skeleton: Skeleton, name: str, detections: Detections, fps: floa
 
 
 def _or_mocap(skeleton: Skeleton, fps: float, rate: float) -> str:
-    """Return the other way to make a video at one rate fit a skeleton that asks for another."""
-    place = skeleton.source.at(skeleton.source.fps_line)
-    return f'or --mocap-fps {skeleton.fps * fps / rate:.4g}, if the rate of {place} is wrong'
+    """Return the other ways to make a video at one rate fit a skeleton that asks for another."""
+    source = skeleton.source
+    is_asked = abs(skeleton.fps / (source.frame_fps or source.fps) - 1.0) > SAME_RATE
+    place = '--mocap-fps' if is_asked else source.at(source.fps_line)
+    near = [f'{r:g}, ' for r in COMMON_FPS if 0.0 < abs(r / rate - 1.0) < NTSC]
+    other = f'--mocap-fps {skeleton.fps * fps / rate:.4g}, if the rate of {place} is wrong'
+    return f'or {"".join(near)}or {other}' if near else f'or {other}'
 
 
 def _tempo(
