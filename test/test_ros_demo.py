@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import signal
+from importlib.util import find_spec
 from pathlib import Path
 
 from harness import ros_environment, running
@@ -30,14 +31,22 @@ def processes_with(word: str) -> list[int]:
     return found
 
 
-def test_demo_finds_the_truth_and_leaves_its_result(tmp_path: Path) -> None:
-    """Simulated, played over DDS, calibrated by the real node, compared with the truth."""
+def test_demo_finds_the_truth_and_leaves_its_result_and_report(tmp_path: Path) -> None:
+    """Simulated, played over DDS, calibrated by the real node, compared with the truth.
+
+    The page that it tells people to look at is there and begins with the verdict.
+    """
     output = tmp_path / 'demo'
     arguments = [*DEMO, '--output', str(output), '--seconds', '10', '--rate', '8']
     with running(arguments, ros_environment(free_domain())) as demo:
         assert demo.wait(seconds=WAIT_S) == 0, demo.output
         said = re.search(r'rotation error +([\d.]+) deg', demo.output)
+        told = demo.output
     assert said
+    if all(map(find_spec, ('plotly', 'jinja2'))):
+        page = output / 'result.html'
+        assert f'look at it: {page}' in told.replace('\n', '')
+        assert '<h1>Accepted' in page.read_text()
     recording = simulate(build_scene(preset('studio'), 0, seconds=10.0))
     found = read_result(output / 'result.yaml').world_T_mocap
     error_deg, error_m = errors(found, recording.truth.world_T_mocap, recording.observations())

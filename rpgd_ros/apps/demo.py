@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import yaml
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress
 from rich.table import Table
 
 from rpgd_ros.apps import simulate
+from rpgd_ros.apps.progress import bar_columns
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, RigidTransform, euler_zyx_from_rotation, rotation_angle
 from rpgd_ros.io.bag import open_bag
@@ -147,7 +148,10 @@ def _calibrate_live(
     from rpgd_ros.ros.player import Peer  # noqa: PLC0415
 
     rig_path = output / RECORDING / 'rig.yaml'
-    with _calibrator(output, rig_path, console) as node, _bars(console) as bars:
+    with (
+        _calibrator(output, rig_path, console) as node,
+        Progress(*bar_columns(), console=console, transient=True) as bars,
+    ):
 
         def check_both() -> None:
             check()
@@ -158,25 +162,17 @@ def _calibrate_live(
         with Peer('demo', check=check_both) as peer:
             client = CalibratorClient(peer, read_rig(rig_path))
             lost = _play(peer, client, output / RECORDING, bars, rate)
+            bars.add_task('calibrating', total=None)
             called = client.calibrate(seconds=CALL_SECONDS)
             if called is None or not called[0]:
                 msg = f'not calibrated: {called[1]["message"] if called else "no answer"}'
                 raise InputError(Reason.BAD_INPUT, msg)
             published = client.transform(seconds=COUNT_SECONDS)
+            bars.add_task('writing the report', total=None)
             client.save(seconds=CALL_SECONDS)
     if published is None:
         raise InputError(Reason.BAD_INPUT, 'the calibrator did not publish ~/transform')
     return called[1], published, lost
-
-
-def _bars(console: Console) -> Progress:
-    return Progress(
-        TextColumn('{task.description}'),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )
 
 
 def _simulate(arguments: argparse.Namespace, folder: Path) -> int:
@@ -234,12 +230,13 @@ def _play(peer: Peer, client: CalibratorClient, folder: Path, bars: Progress, ra
             msg = f'the calibrator did not subscribe to {silent} within {START_SECONDS:g} s'
             raise InputError(Reason.MISSING_TOPIC, msg)
         total = sum(bag.topics[topic].n_messages for topic in topics)
-        task = bars.add_task(f'playing {rate:g} times as fast as recorded', total=total)
+        title = f'playing {rate:g} times as fast as recorded'
+        task = bars.add_task(title, total=1.0, things=(total, 'messages'))
         messages = ((topics[topic], *rest) for topic, *rest in bag.stream(topics))
         sent = peer.play(
             cast('Iterator[Timed]', messages),
             rate=rate,
-            on_sent=lambda n: bars.update(task, completed=n),
+            on_sent=lambda n: bars.update(task, completed=n / max(1, total)),
         )
     peer.wait_until(lambda: client.received() == sent, seconds=COUNT_SECONDS)
     return sum(sent.values()) - sum(client.received().values())
