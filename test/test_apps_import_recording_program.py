@@ -225,6 +225,7 @@ def test_unforeseen_error_is_reported_as_one(
         ({'joint_map': ['nose=Head']}, "no MoCap joint 'Head'"),
         ({'joint_map': ['nose']}, '--joint-map needs KEYPOINT=JOINT'),
         ({'keypoint_units': 'normalized'}, 'they are pixels'),
+        ({'camera_units': 'inch'}, 'Calib.toml: the cameras see a body of 0.0'),
         ({'camera_units': 'mm', 'cameras': 'q.qca.txt'}, 'has its own unit'),
         ({'cameras': ['Calib.toml', 'Calib.toml']}, 'camera cam0 comes twice among'),
         ({'skeleton': 'Calib.toml'}, 'no TRC, BVH or C3D file, and no CSV file'),

@@ -70,6 +70,12 @@ def test_calibration_in_another_unit_is_refused(
     assert refused.value.reason is Reason.WRONG_UNIT
 
 
+def test_format_with_a_unit_of_its_own_is_not_asked_for_another() -> None:
+    """Such an option would be refused."""
+    with pytest.raises(InputError, match='write its cameras with positions in the unit of its f'):
+        check_scale(make_plan(1000.0), 'camchain.yaml', None, has_own=True)
+
+
 @pytest.mark.parametrize(
     ('mocap_metres', 'units', 'right'), [(1.0 / 2.54, 'cm', 'inch'), (2.54, 'inch', 'cm')]
 )

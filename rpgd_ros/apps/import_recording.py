@@ -38,6 +38,7 @@ from rpgd_ros.importing import (
     write_plan,
 )
 from rpgd_ros.io.bag_writer import Storage
+from rpgd_ros.io.camera_files import TOML
 from rpgd_ros.io.rig import METRES_PER
 
 EXIT_DONE, EXIT_BAD_INPUT, EXIT_BUG = 0, 2, 70
@@ -205,7 +206,8 @@ def _read(inputs: Inputs, progress: Callable[[str, float], None]) -> Plan:
         )
     plan = Plan(skeleton, tuple(plans), options.world_frame, clock.timecode, clock.warnings)
     check_plan(plan)
-    check_scale(plan, ', '.join(str(path) for path in options.cameras), options.camera_units)
+    files = ', '.join(str(path) for path in options.cameras)
+    check_scale(plan, files, options.camera_units, has_own=TOML not in inputs.formats)
     return plan
 
 

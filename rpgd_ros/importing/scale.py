@@ -17,13 +17,14 @@ from rpgd_ros.io.rig import METRES_PER
 FRAMES: Final = 200  # of one camera that are looked at
 CAMERAS: Final = 4
 SMALLEST_SINE: Final = 0.1  # of the angle between two rays that measure a depth
-# Of the depth, between the rays to one joint. Keypoints to 0.7 px: 0.0006. Of walks before cameras
-# started up to 2 s apart, those below it had the body to 0.88 to 1.03 of its size.
+# Of the depth, between the rays to one joint. Keypoints to 0.7 px: 0.0006, OpenPose's of a recorded
+# person 0.005 to 0.015. Of walks before cameras started up to 2 s apart, those below it had the
+# body to 0.88 to 1.03 of its size.
 MAX_GAP: Final = 0.04
 SAME_SIZE: Final = 1.8  # the nearest units are 2.54 apart; noise makes a body larger, not twice
 
 
-def check_scale(plan: Plan, calibration: str, units: str | None) -> None:
+def check_scale(plan: Plan, calibration: str, units: str | None, *, has_own: bool = False) -> None:
     """Refuse a calibration and a skeleton whose units do not belong together.
 
     Two cameras that see the same person tell how large it is in the unit of their positions. Says
@@ -33,6 +34,7 @@ def check_scale(plan: Plan, calibration: str, units: str | None) -> None:
         plan: What would be written.
         calibration: Its files.
         units: That were asked for it; None = its own, or metres.
+        has_own: Whether its format states a unit, so that none can be asked for.
 
     Raises:
         InputError: WRONG_UNIT.
@@ -54,8 +56,10 @@ def check_scale(plan: Plan, calibration: str, units: str | None) -> None:
     now = plan.skeleton.units if is_mocap else units or 'm'
     wanted = METRES_PER[now] * (ratio if is_mocap else 1.0 / ratio)
     right = min(METRES_PER, key=lambda u: abs(np.log(METRES_PER[u] / wanted)))
-    option = '--units' if is_mocap else '--camera-units'
-    raise InputError(Reason.WRONG_UNIT, f'{msg}: check the unit of both, give {option} {right}')
+    option = f'give {"--units" if is_mocap else "--camera-units"} {right}'
+    if has_own and not is_mocap:
+        option = 'or write its cameras with positions in the unit of its format'
+    raise InputError(Reason.WRONG_UNIT, f'{msg}: check the unit of both, {option}')
 
 
 def _size_ratio(plan: Plan, a: CameraPlan, b: CameraPlan) -> float:
