@@ -137,7 +137,8 @@ def test_still_person_places_no_camera(tmp_path: Path, capsys: pytest.CaptureFix
 def test_camera_that_cannot_be_placed_stays_without_extrinsics(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The others are written; its reason is among the warnings."""
+    """The others are written, also into the report; its reason is among the warnings."""
+    pytest.importorskip('plotly')
     walk = film(tmp_path, '--no-extrinsics')
     tree = yaml.safe_load((walk / 'rig.yaml').read_text())
     tree['cameras'][1]['keypoints_topic'] = 'nobody/keypoints'

@@ -44,6 +44,7 @@ def test_report_and_json_of_a_crowd_are_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What looks at the data afterwards sees the persons with MoCap only."""
+    pytest.importorskip('plotly')
     output = made(tmp_path, '--persons', '3')
     words = [str(output / 'bag'), '--rig', str(output / 'rig.yaml'), '--json']
     capsys.readouterr()

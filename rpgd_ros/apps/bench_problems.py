@@ -134,6 +134,10 @@ def cramer_rao(problem: Twin) -> Bound:
     """Return the bound from the Fisher information at the truth.
 
     The noise is the one that was drawn, and which correspondences are outliers is known.
+
+    Raises:
+        LinAlgError: No pose is determined. Rounding decides whether `inv` notices that.
+
     """
     cameras, observations, truth = problem
     x_world = truth.world_T_mocap @ body_points(observations)
@@ -143,6 +147,9 @@ def cramer_rao(problem: Twin) -> Bound:
         sight = Sight(camera, view)
         to_twist = twist_from_delta(sight.camera_T_world, pivot)
         information += to_twist.T @ _by_twist(sight, inlier, truth) @ to_twist
+    if np.linalg.matrix_rank(information, hermitian=True) < 6:
+        msg = 'the information is singular'
+        raise np.linalg.LinAlgError(msg)
     covariance = np.linalg.inv(information)
     # A rotation w moves a point at y from the pivot by w cross y, whose square is w^T M w.
     y = x_world - pivot

@@ -86,15 +86,20 @@ def spread_between(scores: Array) -> Array:
 
 def larger(a: Array, b: Array) -> Array:
     """Return the smallest covariance that is at least `a` everywhere and `b` where b exceeds a."""
-    root = np.linalg.cholesky(a + RELATIVE_FLOOR * np.diag(np.diag(a)))
-    inverse = np.linalg.inv(root)
+    a = a + RELATIVE_FLOOR * np.diag(np.diag(a))
+    root = np.linalg.cholesky(a)
+    inverse = root.T @ invert(a)
     values, vectors = np.linalg.eigh(inverse @ b @ inverse.T)
     out: Array = root @ (vectors * np.maximum(values, 1.0)) @ vectors.T @ root.T
     return out
 
 
-def invert(hessian: Array, information: Array) -> Array:
-    """Invert the Hessian; where it is not positive, the Gauss-Newton part with a floor."""
+def invert(hessian: Array, information: Array | None = None) -> Array:
+    """Invert the Hessian; where it is not positive, the Gauss-Newton part with a floor.
+
+    By eigenvalues: the bits of LAPACK's own inverse depend on the number of threads.
+    """
+    information = hessian if information is None else information
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
     for matrix in (hessian, information):
         values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))

@@ -112,7 +112,7 @@ def _trend(opinions: Sequence[tuple[float, Array, Array]], seconds: float) -> Dr
         line = np.hstack([np.eye(6), t * np.eye(6)])
         normal += line.T @ weight @ line
         pull += line.T @ weight @ step
-    inverse = invert(normal, normal)
+    inverse = invert(normal)
     fit = inverse @ pull
     left = [step - fit[:6] - t * fit[6:] for t, step, _ in opinions]
     free = 6 * (len(opinions) - 2)

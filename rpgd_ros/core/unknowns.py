@@ -145,7 +145,7 @@ class System:
     def inverse(self, precision: Array) -> Array:
         """(p, p) covariance of independent errors."""
         whole = self.hessian + np.diag(precision)
-        return invert(whole, whole)
+        return invert(whole)
 
     def covariance(self, precision: Array) -> Array:
         """(p, p) the larger of that of independent errors and of what differs between joints."""
