@@ -13,6 +13,7 @@ PYTHON_OLDEST ?= python3.11 $(PYTHON)
 ARGS ?=
 # Most tests of the node wait for it: two files at a time take half the time, also on two cores.
 IN_TWOS := --numprocesses 2 --dist loadfile
+test test-oldest: export OPENBLAS_NUM_THREADS := 1
 
 # The tests and the demo talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
@@ -31,7 +32,8 @@ unexport FASTDDS_DEFAULT_PROFILES_FILE _ROS_WHEELS_BOOTSTRAP_COMPLETE
 define HELP
 rpgd_ros: align a motion-capture system with cameras from a walking person
 
-  make demo    simulate a studio recording, play it to the live node, print its error
+  make demo    simulate a studio recording, play it to the live node, print its error;
+               its report is demo_output/result.html
   make test    run the tests             make test ARGS='test/test_layers.py -k edge'
   make faults  all faults and threats with their figures (25 min); make faults-long: an hour more
   make lint    check style and types     (ruff, mypy)
