@@ -17,9 +17,9 @@ from rpgd_ros.io.rig import METRES_PER
 FRAMES: Final = 200  # of one camera that are looked at
 CAMERAS: Final = 4
 SMALLEST_SINE: Final = 0.1  # of the angle between two rays that measure a depth
-# Of the depth, between the rays to one joint. Keypoints to 0.7 px: 0.0006, OpenPose's of a recorded
-# person 0.005 to 0.015. Of walks before cameras started up to 2 s apart, those below it had the
-# body to 0.88 to 1.03 of its size.
+# Of the depth, between the rays to one joint. Keypoints to 0.7 px: 0.0006, OpenPose's of a
+# recorded person 0.005 to 0.015. Of walks before cameras started up to 2 s apart, those
+# below it had the body to 0.88 to 1.03 of its size.
 MAX_GAP: Final = 0.04
 SAME_SIZE: Final = 1.8  # the nearest units are 2.54 apart; noise makes a body larger, not twice
 
