@@ -203,7 +203,7 @@ def convergence(measured: Measured) -> Section | None:
     text = (
         'The pose from only the beginning of the recording, beside that from all of it, both at '
         'the clock offsets above. Where the curves have not come down yet, a longer walk makes '
-        'the result better.'
+        'the result better. Where the solid one is far above the dotted, something has changed.'
     )
     return Section('convergence', 'Convergence', (Text(text), Side(tuple(plots))))
 
