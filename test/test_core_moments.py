@@ -69,8 +69,8 @@ def moved(problem: Problem, state: State, name: str, by: float) -> Scene:
     return replace(scene, sights=sights)
 
 
-# A larger skeleton has larger noise, and so has one that a lens enlarges: the cost at a given noise
-# does not know that, the sums do.
+# A larger skeleton has larger noise, and so has one that a lens enlarges: the sums know that, the
+# cost at a given noise does not.
 OF_NOISE = {'radial', 'scale'}
 
 
