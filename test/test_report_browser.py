@@ -63,12 +63,18 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made.page
 
 
-@pytest.fixture
+@pytest.fixture(scope='module')
 def opened(browser: Browser, report: Path) -> Iterator[Callable[..., Opened]]:
-    """Return a function that opens the page in a window of some width and theme."""
+    """Return a function that opens the page in a window of some width and theme.
+
+    One window of each kind for all tests; `fresh` for those that leave it changed.
+    """
+    kept: dict[tuple[int, Any], Opened] = {}
     contexts = []
 
-    def opened(*, width: int = 1200, theme: Any = 'light') -> Opened:
+    def opened(*, width: int = 1280, theme: Any = 'light', fresh: bool = False) -> Opened:
+        if not fresh and (width, theme) in kept:
+            return kept[width, theme]
         context = browser.new_context(
             viewport={'width': width, 'height': 900},
             color_scheme=theme,
@@ -88,6 +94,8 @@ def opened(browser: Browser, report: Path) -> Iterator[Callable[..., Opened]]:
         )
         page.goto(report.as_uri())
         page.wait_for_function("document.documentElement.dataset.ready === 'yes'")
+        if not fresh:
+            kept[width, theme] = Opened(page, trouble)
         return Opened(page, trouble)
 
     yield opened
@@ -152,7 +160,7 @@ def test_the_room_is_drawn_in_space_and_turns_with_the_mouse(
     room = page.locator('#room-3d')
     room.scroll_into_view_if_needed()
     page.wait_for_selector('#room-3d canvas')
-    page.wait_for_timeout(1500)
+    page.wait_for_timeout(800)
     before = picture(page, '#room-3d')
     assert len(np.unique(before.reshape(-1, 3), axis=0)) > 50
     box = room.bounding_box()
@@ -185,7 +193,7 @@ def test_without_the_clipboard_of_the_browser_the_older_way_copies(
     opened: Callable[..., Opened],
 ) -> None:
     """Pages from a disk may not use it everywhere."""
-    page, _ = opened()
+    page, _ = opened(fresh=True)
     page.evaluate("""() => {
         Object.defineProperty(navigator.clipboard, 'writeText', {
             value: () => Promise.reject(new Error('not allowed')),
@@ -216,7 +224,7 @@ def test_it_prints_with_all_figures(opened: Callable[..., Opened], tmp_path: Pat
 
     Drawn for the screen's width, the last bar of a histogram would be cut.
     """
-    page, trouble = opened(width=1280, theme='dark')
+    page, trouble = opened(width=1280, theme='dark', fresh=True)
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
     page.emulate_media(media='print')
     wide = page.evaluate("""() => [...document.querySelectorAll('.plot')].map((plot) =>
