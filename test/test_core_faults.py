@@ -234,11 +234,14 @@ def test_labels_that_are_always_swapped_are_named(shape: str) -> None:
 
 
 @pytest.mark.parametrize('shape', ['studio', 'aistpp'])
-def test_a_skeleton_without_a_midline_that_is_always_swapped_is_refused(shape: str) -> None:
-    """Where every joint has a twin, swapped labels and a mirrored frame look nearly alike."""
-    case = scene(shape, 150, 2, outlier_ratio=1.0, kind='swap')
+@pytest.mark.parametrize('seed', [2, 3, 5])
+def test_a_skeleton_without_a_midline_that_is_always_swapped_is_named(
+    shape: str, seed: int
+) -> None:
+    """Where every joint has a twin, the breadth of the body could be taken for noise."""
+    case = scene(shape, 150, seed, outlier_ratio=1.0, kind='swap')
     reason = refusal(lambda: calibrate(case.cameras, case.observations)).reason
-    assert reason in {Reason.SWAPPED_LABELS, Reason.MIRRORED_AXES, Reason.UNCERTAIN}
+    assert reason is Reason.SWAPPED_LABELS
 
 
 @pytest.mark.fault(17)
