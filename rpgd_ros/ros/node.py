@@ -34,8 +34,10 @@ from rpgd_ros.session import MOCAP, Session
 from rpgd_ros.session.monitor import Monitor
 
 NODE_NAME = 'rpgd_calibrator'
-LOOK_POLLS = 5  # until each camera has had its turn: twice a second
-POLL_SECONDS = 0.1  # a publisher is found and a signal heeded within it
+# A poll keeps messages waiting, so polls take turns: at one what came is handed on, at the next it
+# is looked at. A publisher is found and a signal heeded within two.
+POLL_SECONDS = 0.05
+FOLLOW_TURNS = 10  # until an input that is heard has been compared with its publishers again
 
 
 class CalibratorNode(Node):
@@ -59,6 +61,8 @@ class CalibratorNode(Node):
         self._mocap_offset_s = rig.mocap.time_offset_s
         self._is_enabled = True
         self._n_at_last_run = 0
+        self._n_polls = 0
+        self._n_cameras = len(rig.cameras)
         output = TransformOutput(self, with_tf=config.node.tf_mode == 'static')
         results = Results(self, output, rig.world_frame, config.node.result_file)
         results.report = report
@@ -140,12 +144,23 @@ class CalibratorNode(Node):
         self._auto_timer.timer_period_ns = int(config.auto.period_s * 1e9)
 
     def _on_poll(self) -> None:
-        for joints in self._joints:
-            joints.poll()
+        self._n_polls += 1
+        if self._n_polls % 2:
+            self._follow()
+        else:
+            self._look()
+
+    def _follow(self) -> None:
+        """Follow the graph and hand on what has come."""
+        for turn, joints in enumerate(self._joints):
+            if not joints.is_subscribed or (self._n_polls // 2 + turn) % FOLLOW_TURNS == 0:
+                joints.poll()
         self._cameras.poll()
         self._flush()
+
+    def _look(self) -> None:
         # Whoever looks at the overlays wants all cameras at once; else they take turns.
-        pairs = self._monitor.look(turns=1 if self._overlays.is_wanted else LOOK_POLLS)
+        pairs = self._monitor.look(turns=1 if self._overlays.is_wanted else self._n_cameras)
         results = self._engine.results
         self._overlays.publish(pairs, results.published, results.accepted)
 
