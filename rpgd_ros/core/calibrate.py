@@ -18,10 +18,10 @@ from rpgd_ros.core.config import (
 )
 from rpgd_ros.core.dating import moved_since
 from rpgd_ros.core.diagnose import (
-    GOOD_RATIO,
     MAY_BE_MIRRORED,
     MIRRORED,
     is_mirrored,
+    looks_mirrored,
     refuse_ambiguous,
     refuse_swapped,
 )
@@ -156,7 +156,8 @@ def _pass_gates(solved: Solved, run: Run) -> None:
             # The better name: a sigma is that of one of the minima.
             refuse_ambiguous(rival_ratio, calibration)
         raise
-    # A mirrored walk may fit some cameras well enough to leave the others out as somebody else's.
-    is_doubtful = calibration.inlier_ratio < GOOD_RATIO and config.ransac.score == 'likelihood'
+    is_doubtful = config.ransac.score == 'likelihood' and looks_mirrored(
+        sights, calibration, config.ransac.seed
+    )
     if is_doubtful and is_mirrored(sights, config.ransac, check=run.check('diagnosis')):
         raise CalibrationError(Reason.MIRRORED_AXES, MIRRORED, calibration=calibration)

@@ -10,7 +10,8 @@ import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.ransac import robust_start
+from rpgd_ros.core.pool import make_pool
+from rpgd_ros.core.ransac import draw_triplets, rank, robust_start, solve_triplets
 from rpgd_ros.core.thin import spread
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ TINY_PX = 1e-6  # that places of one joint under two names may be apart
 NEAR = 2.0  # times the distance to the nearest joint: a keypoint lies on each of these
 LOST, FOUND = 0.15, 0.5  # a swapped joint agrees with itself less often, with its twin more often
 MIN_SWAPPED_PAIRS = 2  # one pair alone may be a mistake in the joint map
+LEFT_OUT = 0.5  # of the share of inliers in the best camera
+GLANCE_POINTS, GLANCE_TRIPLETS = 256, 64  # where the mirrored one is right, most of them are good
 MIRROR_GAIN = 4.0  # in squared error, of the mirrored skeleton over the given one
 MAY_BE_MIRRORED = (
     Reason.TOO_FEW_INLIERS,
@@ -91,11 +94,10 @@ def swapped_joints(
         projected = part.camera.project_camera((part.camera_T_world @ pose) @ x)
         # (F, keypoint, projection): who lies on whom.
         apart = uv[:, :, None] - projected[:, None]
-        distance = np.hypot(apart[..., 0], apart[..., 1])
-        with np.errstate(invalid='ignore'):
-            nearest = np.fmin.reduce(distance, axis=2, keepdims=True)
-            hits += (distance < np.minimum(threshold_px, NEAR * nearest + TINY_PX)).sum(0)
-        counts += np.isfinite(distance).sum(0)
+        squared = apart[..., 0] ** 2 + apart[..., 1] ** 2
+        nearest = np.sqrt(np.fmin.reduce(squared, axis=2, keepdims=True))
+        hits += (squared < np.minimum(threshold_px, NEAR * nearest + TINY_PX) ** 2).sum(0)
+        counts += np.isfinite(squared).sum(0)
     ratio: Array = hits / np.maximum(counts, 1.0)
     own = np.diag(ratio)
     lost: IntArray = np.flatnonzero((own < LOST) & (np.diag(counts) > 0))
@@ -108,15 +110,38 @@ def swapped_joints(
     return pairs
 
 
+def looks_mirrored(sights: Sequence[Sight], calibration: Calibration, seed: int) -> bool:
+    """Whether some cameras hardly agree with a pose that others fit, and a mirrored skeleton may.
+
+    Two of four cameras may believe a mirrored walk; the others then seem to see somebody else.
+    """
+    shares = [fit.inliers / max(fit.correspondences, 1) for fit in calibration.per_camera.values()]
+    if calibration.inlier_ratio > GOOD_RATIO or min(shares) > LEFT_OUT * max(shares):
+        return False
+    given, mirrored = (
+        make_pool(side, GLANCE_POINTS, np.random.default_rng(seed))
+        for side in (sights, _mirrored(sights))
+    )
+    rng = np.random.default_rng(seed)
+    triplets = draw_triplets(mirrored, GLANCE_TRIPLETS, rng, same_frame=False)
+    other = rank(mirrored, *solve_triplets(mirrored, triplets)).score
+    pose = calibration.world_T_mocap
+    own = rank(given, pose.rotation[None], pose.translation[None]).score
+    return bool(len(other) and other[0] < own[0])
+
+
 def is_mirrored(
     sights: Sequence[Sight], config: RansacConfig, *, check: Callable[[float], None]
 ) -> bool:
     """Whether a mirrored skeleton explains data far better that the given one explains badly."""
-    mirrored = [
-        Sight(s.camera, replace(s.view, x_mocap=s.view.x_mocap * [-1.0, 1.0, 1.0])) for s in sights
-    ]
     given, other = (
         robust_start(side, config, np.random.default_rng(config.seed), check=check).candidates[0]
-        for side in (sights, mirrored)
+        for side in (sights, _mirrored(sights))
     )
     return other.is_sharp and given.cost - other.cost > np.log(MIRROR_GAIN)
+
+
+def _mirrored(sights: Sequence[Sight]) -> list[Sight]:
+    return [
+        Sight(s.camera, replace(s.view, x_mocap=s.view.x_mocap * [-1.0, 1.0, 1.0])) for s in sights
+    ]

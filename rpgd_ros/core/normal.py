@@ -15,7 +15,6 @@ from rpgd_ros.core.geometry import (
     Array,
     Column,
     RigidTransform,
-    nearest_rotation,
     skew,
     so3_exp,
 )
@@ -61,8 +60,9 @@ def apply_delta(world_T_mocap: RigidTransform, delta: Array, pivot_world: Array)
     """Move a pose by a step (w, d) about the pivot."""
     turn = so3_exp(delta[:3])
     translation = turn @ (world_T_mocap.translation - pivot_world) + pivot_world + delta[3:]
-    # Steps add up: without this the rotation would slowly cease to be one.
-    return RigidTransform(nearest_rotation(turn @ world_T_mocap.rotation), translation)
+    r = turn @ world_T_mocap.rotation
+    # Steps add up: without this (Newton's for the polar factor) it would slowly be no rotation.
+    return RigidTransform(r @ (1.5 * np.eye(3) - 0.5 * r.T @ r), translation)
 
 
 def normal_equations(
