@@ -120,18 +120,28 @@ def settled(problem: Problem, at: Settled, check: Callable[[float], None]) -> Se
 def _with_rates(problem: Problem, at: Settled, check: Callable[[float], None]) -> Settled:
     """Estimate the rates, too, of the clocks that run wrong beyond doubt."""
     offset = at.unknowns.offset
-    freed = at._replace(unknowns=replace(at.unknowns, rate=offset))
-    system = look(problem, freed.state, freed.unknowns, freed.noise)
-    precision, value = prior(freed.unknowns, freed.state)
+    freed = replace(at.unknowns, rate=offset)
+    system = look(problem, at.state, freed, at.noise)
+    precision, value = prior(freed, at.state)
     step, _ = system.step(precision, value)
-    # Not by the scatter over time: a wrong rate is what makes it scatter.
-    sigma = np.sqrt(np.diag(system.covariance(precision)))[freed.unknowns.rates]
-    off = np.abs(step[freed.unknowns.rates]) > np.maximum(RATE_SIGMAS * sigma, LEAST_RATE)
-    if not off.any():
-        return at
-    wrong = np.flatnonzero(off).tolist()
-    rate = tuple(wrong.index(c) if c in wrong else -1 for c in offset)
-    return settled(problem, at._replace(unknowns=replace(at.unknowns, rate=rate)), check)
+    # Here by independent errors alone: a wrong rate is what makes joints and times scatter.
+    wrong = _beyond(step[freed.rates], np.sqrt(np.diag(system.inverse(precision)))[freed.rates])
+    kept: list[int] | None = None
+    while wrong and wrong != kept:
+        kept = wrong
+        rate = tuple(kept.index(c) if c in kept else -1 for c in offset)
+        found = settled(problem, at._replace(unknowns=replace(at.unknowns, rate=rate)), check)
+        system = look(problem, found.state, found.unknowns, found.noise)
+        sigma = sigmas(system, prior(found.unknowns, found.state)[0])[found.unknowns.rates]
+        rates = [found.state.rate[rate.index(n)] for n in range(len(kept))]
+        wrong = [kept[k] for k in _beyond(np.array(rates), sigma)]
+    return found if wrong else at
+
+
+def _beyond(rate: Array, sigma: Array) -> list[int]:
+    """Clocks whose rate is beyond doubt."""
+    enough = np.maximum(RATE_SIGMAS * sigma, LEAST_RATE)
+    return [int(k) for k in np.flatnonzero(np.abs(rate) > enough)]
 
 
 def without_unknown(
