@@ -50,6 +50,19 @@ def test_single_camera_without_a_pose_is_the_world() -> None:
     np.testing.assert_allclose(calibration.world_T_mocap.matrix, expected.matrix, atol=0.02)
 
 
+def test_camera_that_tf_does_not_place_is_left_out_beside_one_that_has_a_pose(
+    studio: Studio,
+) -> None:
+    """It is named, and the calibration is that of the others."""
+    last = studio.rig.cameras[-1].name
+    rig = with_camera(studio.rig, len(studio.rig.cameras) - 1, frame_id='eye', extrinsics=None)
+    session = feed(Session(rig), studio.messages, together=500)
+    found = solve(session.snapshot())
+    assert list(found.per_camera) == [c.name for c in rig.cameras if c.name != last]
+    assert any('no pose from TF' in w and last in w for w in found.warnings)
+    assert errors(found)[0] < 0.2
+
+
 def test_several_cameras_need_the_poses_that_tf_was_to_give(studio: Studio) -> None:
     """Those without are named; a pose from TF helps, and a new one starts the camera over."""
     rig = without_poses(studio.rig)

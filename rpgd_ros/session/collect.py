@@ -208,15 +208,12 @@ class Session:
         self._check_frames()
         self._check_data(tuple(self._cameras))
         cameras, turns = usable_cameras(self._cameras, self.camera_info_topics())
-        self._check_data([camera.name for camera in cameras])
-        counts = {
-            name: count
-            for name, count in self.pair_counts().items()
-            if self._cameras[name].camera is not None
-        }
+        used = [camera.name for camera in cameras]
+        self._check_data(used)
+        counts = {name: count for name, count in self.pair_counts().items() if name in used}
         if not any(count.paired for count in counts.values()):
             raise CalibrationError(Reason.NO_DATA, self._never_meet(cameras))
-        sources = [self._cameras[camera.name] for camera in cameras]
+        sources = [self._cameras[name] for name in used]
         return Snapshot(
             cameras=cameras,
             keypoints=tuple(source.lend(self._offset_s(source)) for source in sources),
@@ -225,7 +222,7 @@ class Session:
             sync=self._config.sync,
             config=self._config.calibration,
             pair_counts=counts,
-            left_out=tuple(name for name, c in self._cameras.items() if c.camera is None),
+            left_out=tuple(name for name in self._cameras if name not in used),
             turns=turns,
             persons=self._mocap.lend_persons(),
         )

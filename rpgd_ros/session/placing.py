@@ -34,7 +34,8 @@ def usable_cameras(inputs: Mapping[str, CameraInput], info_topics: Iterable[str]
     """Return the cameras that have intrinsics.
 
     A rig's only camera is the world itself. Of several, those that neither the rig file nor TF
-    shall place are placed by the solve.
+    shall place are placed by the solve. Those that TF was to place and did not are left out where
+    another has a pose in the world.
 
     Args:
         inputs: All cameras of the rig.
@@ -42,7 +43,7 @@ def usable_cameras(inputs: Mapping[str, CameraInput], info_topics: Iterable[str]
 
     Raises:
         CalibrationError: MISSING_INTRINSICS of all cameras; NO_EXTRINSICS where TF was to give
-            them.
+            them, and no camera has any.
 
     """
     cameras = {name: source.camera for name, source in inputs.items() if source.camera is not None}
@@ -56,10 +57,14 @@ def usable_cameras(inputs: Mapping[str, CameraInput], info_topics: Iterable[str]
         pose = camera.camera_T_world or RigidTransform.identity()
         return Usable((replace(camera, camera_T_world=pose),), {})
     without = [name for name in cameras if not inputs[name].has_pose]
-    waiting = [f'{n} ({inputs[n].rig.frame_id[:80]!r})' for n in without if inputs[n].rig.frame_id]
-    if waiting:
+    waiting = [name for name in without if inputs[name].rig.frame_id]
+    if len(without) < len(cameras):
+        cameras = {name: c for name, c in cameras.items() if name not in waiting}
+        without = [name for name in without if name not in waiting]
+    elif waiting:
+        named = ', '.join(f'{n} ({inputs[n].rig.frame_id[:80]!r})' for n in waiting)
         msg = (
-            f'no extrinsics of {", ".join(waiting)}: TF was to give the pose of its frame_id. '
+            f'no extrinsics of {named}: TF was to give the pose of its frame_id. '
             'Publish it, give camera_T_world in the rig file, or neither: then the calibration '
             'finds the pose, too'
         )

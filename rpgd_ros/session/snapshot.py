@@ -59,7 +59,7 @@ class Snapshot:
         sync: Settings of the pairing.
         config: Settings of the solve.
         pair_counts: Frames of each of these cameras with and without a skeleton.
-        left_out: Cameras whose intrinsics have not arrived.
+        left_out: Cameras whose intrinsics, or poses from TF, have not arrived.
         turns: By camera without a pose, which the solve is to find: optical frame to camera.
         persons: (M, S, J, 3) skeletons of all persons, where there are several with MoCap.
 
@@ -276,7 +276,10 @@ def solve(
     warnings = calibration.warnings
     if snapshot.left_out:
         names = ', '.join(snapshot.left_out)
-        warnings = (*warnings, f'left out, because no CameraInfo arrived: {names}')
+        warnings = (
+            *warnings,
+            f'left out, because no CameraInfo or no pose from TF arrived: {names}',
+        )
     return replace(calibration, time_offset_s=offsets, warnings=warnings)
 
 
