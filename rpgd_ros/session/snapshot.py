@@ -276,10 +276,7 @@ def solve(
     warnings = calibration.warnings
     if snapshot.left_out:
         names = ', '.join(snapshot.left_out)
-        warnings = (
-            *warnings,
-            f'left out, because no CameraInfo or no pose from TF arrived: {names}',
-        )
+        warnings = (*warnings, f'left out for want of CameraInfo or a pose from TF: {names}')
     return replace(calibration, time_offset_s=offsets, warnings=warnings)
 
 
