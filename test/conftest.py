@@ -52,9 +52,9 @@ def recording() -> Callable[[str], Path]:
     return find
 
 
-@pytest.fixture(scope='session')
+@pytest.fixture(scope='module')
 def walk(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return eight seconds of a walk before four cameras."""
+    """Return eight seconds of a walk before four cameras, in a folder that a node may write to."""
     return make_scene(tmp_path_factory.mktemp('walk'))
 
 
