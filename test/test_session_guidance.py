@@ -209,7 +209,7 @@ def test_session_is_guided_from_the_first_step_to_a_calibration() -> None:
     gates, told = AcceptConfig(), []
     calibration = None
     for now in play(recording, session):
-        monitor.look(turns=2)
+        monitor.look(at_all=False)
         told.append(monitor.guidance(gates, 1.0))
         if calibration is None and now > 8.0:
             snapshot = session.snapshot()

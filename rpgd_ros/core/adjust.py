@@ -184,7 +184,8 @@ def adjust(
     here = look(problem, state, unknowns, loss)
     for step in range(1, max_steps + 1):
         check(step / max_steps)
-        delta, decrement = here.step(*prior(unknowns, state))
+        precision, value = prior(unknowns, state)
+        delta, decrement = here.solved(precision).step(value)
         longest = np.abs(delta[unknowns.offsets]).max(initial=0.0)
         delta *= shrink * min(1.0, LARGEST_STEP_S / max(longest, 1e-12))
         moved = state.moved(delta, unknowns, state.pose @ problem.centroid_mocap)

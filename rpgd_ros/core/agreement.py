@@ -20,7 +20,7 @@ from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.core.polish import polish
 from rpgd_ros.core.pool import make_pool
 from rpgd_ros.core.refine import Descent, finish
-from rpgd_ros.core.thin import budget, thin
+from rpgd_ros.core.thin import thin
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -157,7 +157,7 @@ def _weak(tally: Tally) -> list[int]:
 
 def _alone(sight: Sight, pose: RigidTransform, centroid_mocap: Array) -> _Opinion | None:
     """Opinion of a camera far from the common pose: its own solve; None where nothing fits."""
-    few = thin([sight], 0, budget([sight], ALONE_POINTS))
+    few = thin([sight], ALONE_POINTS)
     try:
         pool = make_pool(few, ALONE_POOL, np.random.default_rng(0))
         if len(pool) < MIN_JOINTS:

@@ -19,7 +19,7 @@ from rpgd_ros.core.covariance import invert
 from rpgd_ros.core.geometry import Array, BoolArray
 
 if TYPE_CHECKING:
-    from rpgd_ros.core.unknowns import System
+    from rpgd_ros.core.unknowns import Solution
 
 SIGMAS = 4.0  # beyond doubt; 167 clean recordings, with joint biases too, reach 3.6
 DOUBT_SIGMAS = 3.0  # from here on the film is believed, not what was given
@@ -48,29 +48,29 @@ class Answer:
 
     @classmethod
     def of(
-        cls, system: System, columns: slice, precision: Array, value: Array,
-        *, prior: Array, least: Array,
-    ) -> Self:  # fmt: skip
+        cls, solution: Solution, columns: slice, value: Array, *, prior: Array, least: Array
+    ) -> Self:
         """Ask the sums of a solve that has the numbers among its unknowns.
 
         Args:
-            system: At the optimum of the others.
+            solution: At the optimum of the others, without a prior of the numbers.
             columns: Where the numbers stand.
-            precision: (p,) of the priors of the others; zero for the numbers.
             value: (p,) present values of those with a prior.
             prior: See the attribute.
             least: See the attribute.
 
         """
-        step, _ = system.step(precision, value)
-        inverse = system.inverse(precision)
-        own = invert(inverse[columns, columns])
+        step, _ = solution.step(value)
+        own = invert(solution.inverse[columns, columns])
         error = step[columns]
-        covariance = system.covariance(precision)
         return cls(
-            error, covariance[columns, columns], inverse[:6, columns] @ own,
-            0.5 * float(error @ own @ error), prior, least,
-        )  # fmt: skip
+            error,
+            solution.covariance[columns, columns],
+            solution.inverse[:6, columns] @ own,
+            0.5 * float(error @ own @ error),
+            prior,
+            least,
+        )
 
     @property
     def sigma(self) -> Array:

@@ -11,7 +11,7 @@ from rpgd_ros.core.geometry import Array
 
 if TYPE_CHECKING:
     from rpgd_ros.core.refine import Descent
-    from rpgd_ros.core.unknowns import System
+    from rpgd_ros.core.unknowns import Solution
 
 RELATIVE_FLOOR = 1e-12  # of the variances: keeps what invert floored factorable after rounding
 
@@ -21,7 +21,7 @@ def covariances(
     centroid_mocap: Array,
     *,
     variance: float = 1.0,
-    system: tuple[System, Array] | None = None,
+    solution: Solution | None = None,
     systematic: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return `Calibration.covariance` and `Calibration.covariance_over_time`, (6, 6) each.
@@ -36,8 +36,8 @@ def covariances(
         descent: The end of the refinement.
         centroid_mocap: (3,) metres.
         variance: Factor of the loss to a log likelihood (1 for a fitted `NoiseModel`).
-        system: Where more than the pose was estimated, the sums by all unknowns and the (p,)
-            precision of their priors: what is not known of them is then not known of the pose.
+        solution: Where more than the pose was estimated, that of all unknowns: what is not known
+            of the others is then not known of the pose.
         systematic: (6, 6) of how far the pose may be off for reasons that were not mended.
 
     """
@@ -52,14 +52,13 @@ def covariances(
         out: Array = to_origin @ about_pivot @ to_origin.T
         return 0.5 * (out + out.T)
 
-    if system is None:
+    if solution is None:
         by_joint = inverse @ between_groups(seen.joint_scores) @ inverse
         by_time = inverse @ between_groups(seen.time_scores) @ inverse
         about_pivot = larger(variance * inverse, by_joint)
     else:
-        sums, precision = system
-        about_pivot = sums.covariance(precision)[:6, :6]
-        by_time = sums.covariance_over_time(precision)[:6, :6]
+        about_pivot = solution.covariance[:6, :6]
+        by_time = solution.covariance_over_time[:6, :6]
     if systematic is not None:
         about_pivot = about_pivot + systematic
     return moved(about_pivot), moved(by_time)

@@ -18,7 +18,7 @@ from rpgd_ros.core.questions import (
     size_sentence,
 )
 from rpgd_ros.core.synchronise import sigmas
-from rpgd_ros.core.thin import budget, thin
+from rpgd_ros.core.thin import thin
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rpgd_ros.core.linearise import Sight
     from rpgd_ros.core.noise import NoiseModel
     from rpgd_ros.core.settle import Details
-    from rpgd_ros.core.unknowns import System
+    from rpgd_ros.core.unknowns import Solution
 
 
 DRIFT_POINTS = 32_768  # that the drift is sought on
@@ -52,7 +52,7 @@ class Findings:
 
     Attributes:
         systematic: (6, 6) of how far the pose may be off for reasons that were not mended.
-        system: Sums by all unknowns, and the precision of their priors.
+        solution: Sums by all unknowns, solved.
         time_offset_s: {camera: (offset, sigma)}, seconds.
         clock_rate: {camera: (rate, sigma)} of the cameras whose clock runs wrong.
         joint_offset: (J, 3) metres; (J, 3) standard deviations.
@@ -64,7 +64,7 @@ class Findings:
     """
 
     systematic: Array
-    system: tuple[System, Array] | None = None
+    solution: Solution | None = None
     time_offset_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     clock_rate: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     joint_offset: tuple[Array, Array] | None = None
@@ -86,9 +86,9 @@ class Findings:
     def of(cls, details: Details) -> Self:
         """Collect what was settled, and ask for the rest."""
         problem, unknowns, (state, _, noise) = details.problem, details.unknowns, details.at
-        system = look(problem, state, unknowns, noise)
         precision, _ = prior(unknowns, state)
-        sigma = sigmas(system, precision)
+        solution = look(problem, state, unknowns, noise).solved(precision)
+        sigma = sigmas(solution)
         names = [s.camera.name for s in problem.sights]
         joints = None
         if unknowns.n_joints:
@@ -107,9 +107,7 @@ class Findings:
             systematic += size.pose_spread
             if explained is not None and explained.unknowns.with_scale and size.wrong:
                 told.append(size_sentence(size))
-        few = replace(
-            problem, sights=thin(problem.sights, 0, budget(problem.sights, DRIFT_POINTS))
-        )
+        few = replace(problem, sights=thin(problem.sights, DRIFT_POINTS))
         drift = find_drift(few.scene(state).sights, state.pose, problem.centroid_mocap, noise)
         if drift is not None and not drift.is_certain:
             drift = None
@@ -123,7 +121,7 @@ class Findings:
                 found_size = (explained.state.scale, found_size[1])
         return cls(
             systematic,
-            (system, precision),
+            solution,
             _known(names, state.offset_s, sigma[unknowns.offsets], unknowns.offset),
             _known(names, state.rate, sigma[unknowns.rates], unknowns.rate),
             joints,

@@ -26,7 +26,7 @@ from rpgd_ros.core.noise import NoiseModel, noise_at
 from rpgd_ros.core.observations import MocapTrack, Observations
 from rpgd_ros.core.refine import descend
 from rpgd_ros.core.synchronise import Settled, settled
-from rpgd_ros.core.thin import MIDDLE_POINTS, budget, thin
+from rpgd_ros.core.thin import MIDDLE_POINTS, thin
 from rpgd_ros.core.timeline import Timeline
 from rpgd_ros.core.unknowns import Unknowns
 
@@ -174,7 +174,7 @@ def _refined(
     sights = [Sight(camera, view) for camera, view in pairs if view.n_frames]
     if not sights:
         return pose, noise, None
-    middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
+    middle = thin(sights, MIDDLE_POINTS)
     noise = noise_at(middle, pose)
     x = np.concatenate([s.view.x_mocap.reshape(-1, 3) for s in middle])
     centroid = np.nanmedian(x, 0)

@@ -12,8 +12,8 @@ from rpgd_ros.core.adjust import FOCAL_PRIOR, Problem, State, prior
 from rpgd_ros.core.answer import Answer
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.moments import Moments, sum_moments
-from rpgd_ros.core.thin import budget, thin
-from rpgd_ros.core.unknowns import System, Unknowns, assemble
+from rpgd_ros.core.thin import thin
+from rpgd_ros.core.unknowns import Solution, Unknowns, assemble
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,7 +67,7 @@ class Questions:
         cls, sights: Sequence[Sight], pose: RigidTransform, centroid: Array, loss: Loss
     ) -> Questions:
         """Ask where nothing but the pose was estimated."""
-        few = thin(sights, 0, budget(sights, POINTS))
+        few = thin(sights, POINTS)
         n = len(few)
         state = State.begin(pose, n, few[0].view.n_joints)
         problem = Problem(few, None, None, centroid)
@@ -76,7 +76,7 @@ class Questions:
     @classmethod
     def of_settled(cls, problem: Problem, at: Settled) -> Questions:
         """Ask where more was."""
-        few = thin(problem.sights, 0, budget(problem.sights, SETTLED_POINTS))
+        few = thin(problem.sights, SETTLED_POINTS)
         return cls._asked(replace(problem, sights=few), at.state, at.unknowns, at.noise)
 
     @classmethod
@@ -89,21 +89,20 @@ class Questions:
         """Ask for focal length and radial distortion: one error of all cameras, or of each."""
         n = len(self.sights)
         numbers = (0,) * n if is_common else tuple(range(n))
-        whole = self._with(focal=numbers, radial=numbers)
-        unknowns = whole[0].unknowns
+        whole, value = self._with(focal=numbers, radial=numbers)
+        unknowns = whole.system.unknowns
         prior, least = np.zeros((2, len(unknowns)))
         prior[unknowns.focals], least[unknowns.focals] = FOCAL_PRIOR, LEAST_FOCAL
         prior[unknowns.radials], least[unknowns.radials] = RADIAL_PRIOR, LEAST_RADIAL
 
-        def asked(sums: tuple[System, Array, Array], part: slice) -> Answer:
-            system, precision, value = sums
-            return Answer.of(system, part, precision, value, prior=prior[part], least=least[part])
+        def asked(solution: Solution, value: Array, part: slice) -> Answer:
+            return Answer.of(solution, part, value, prior=prior[part], least=least[part])
 
-        both = asked(whole, slice(unknowns.focals.start, unknowns.radials.stop))
-        radial = asked(whole, unknowns.radials)
+        both = asked(whole, value, slice(unknowns.focals.start, unknowns.radials.stop))
+        radial = asked(whole, value, unknowns.radials)
         freed = np.where(radial.doubted, np.cumsum(radial.doubted) - 1, -1)[list(numbers)]
         some = self._with(focal=numbers, radial=tuple(freed.tolist()))
-        return Lenses(asked(some, unknowns.focals), radial, both)
+        return Lenses(asked(*some, unknowns.focals), radial, both)
 
     def size(self) -> Answer | None:
         """Ask for the size of the skeleton; None for one camera.
@@ -112,11 +111,10 @@ class Questions:
         """
         if len(self.sights) < 2:
             return None
-        system, precision, value = self._with(with_scale=True)
+        solution, value = self._with(with_scale=True)
         return Answer.of(
-            system,
-            system.unknowns.scale,
-            precision,
+            solution,
+            solution.system.unknowns.scale,
             value,
             prior=np.array([SIZE_PRIOR]),
             least=np.array([LEAST_SIZE]),
@@ -125,15 +123,15 @@ class Questions:
     def _with(
         self, *, focal: tuple[int, ...] = (), radial: tuple[int, ...] = (),
         with_scale: bool = False,
-    ) -> tuple[System, Array, Array]:  # fmt: skip
-        """Sums with more unknowns; precision and value of the priors of those that were there."""
+    ) -> tuple[Solution, Array]:  # fmt: skip
+        """Solve with more unknowns; and the values of those that were there and have a prior."""
         unknowns = replace(self.unknowns, focal=focal, radial=radial, with_scale=with_scale)
         pivot = self.state.pose @ self.centroid_mocap
         system = assemble(self.moments, unknowns, self.sights, pivot)
         precision, value = np.zeros((2, len(unknowns)))
         n = len(self.unknowns)
         precision[:n], value[:n] = prior(self.unknowns, self.state)
-        return system, precision, value
+        return system.solved(precision), value
 
 
 def focal_sentences(focal: Answer, names: Sequence[str]) -> list[str]:

@@ -53,7 +53,7 @@ def report(
     else:
         findings = Findings.of(details)
     covariance, over_time = covariances(
-        descent, centroid, variance=variance, system=findings.system,
+        descent, centroid, variance=variance, solution=findings.solution,
         systematic=findings.systematic,
     )  # fmt: skip
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)

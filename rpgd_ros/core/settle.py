@@ -26,7 +26,7 @@ from rpgd_ros.core.observations import is_there
 from rpgd_ros.core.questions import Lenses, Questions
 from rpgd_ros.core.ransac import Start, robust_start
 from rpgd_ros.core.synchronise import Settled, settled, synchronise, without_unknown
-from rpgd_ros.core.thin import MIDDLE_POINTS, budget, spread, thin
+from rpgd_ros.core.thin import MIDDLE_POINTS, spread, thin
 from rpgd_ros.core.timeline import Timeline, track_noise_m
 from rpgd_ros.core.unknowns import Unknowns
 
@@ -121,7 +121,7 @@ def settle(
     # Minima that were rivals while the skeletons were late need not be rivals now.
     again = robust_start(problem.scene(at.state).sights, config.ransac, rng, check=check)
     refine = config.refine
-    used = thin(sights, refine.frame_stride, budget(sights, refine.max_correspondences))
+    used = thin(sights, refine.max_correspondences, stride=refine.frame_stride)
     problem = replace(problem, sights=used)
     state, _ = adjust(problem, at.state, at.unknowns, at.noise, max_steps=2, check=check)
     at = at._replace(state=state)
@@ -139,7 +139,7 @@ def _clocks(
     config: CalibrationConfig, rng: np.random.Generator, check: Callable[[float], None],
 ) -> tuple[Problem, Settled, tuple[str, ...]]:  # fmt: skip
     """Settle pose and clocks on a part of the data; say which clock cannot be known."""
-    middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
+    middle = thin(sights, MIDDLE_POINTS)
     pose, noise, _ = start.candidates[0]
     are_noisy = track is not None and track_noise_m(track) > NOISY_M
     problem = Problem(middle, None, None, centroid, config.refine.joint_noise and are_noisy)
@@ -184,7 +184,7 @@ def _with_joints(
         state=replace(at.state, joint_sigma_m=JOINT_SIGMA_M),
         unknowns=replace(at.unknowns, n_joints=n_joints),
     )
-    few = thin(problem.sights, 0, budget(problem.sights, FRAME_POINTS))
+    few = thin(problem.sights, FRAME_POINTS)
     best, most = None, 0.0
     for body in body_frames(x):
         of_body = replace(problem, sights=few, body=body)
@@ -233,9 +233,7 @@ def _explained(
     numbers = tuple(range(len(problem.sights))) if with_focal else ()
     freed = replace(at.unknowns, focal=numbers, with_scale=with_scale)
     state, _ = adjust(problem, at.state, freed, at.noise, max_steps=CORRECTION_STEPS, check=check)
-    middle = replace(
-        problem, sights=thin(problem.sights, 0, budget(problem.sights, MIDDLE_POINTS))
-    )
+    middle = replace(problem, sights=thin(problem.sights, MIDDLE_POINTS))
     with_joints = at.noise.joint_sigma_m > 0.0
     noise = noise_at(middle.scene(state).sights, state.pose, with_joints=with_joints)
     return Settled(state, freed, noise)

@@ -22,7 +22,7 @@ from rpgd_ros.core.ransac import published, robust_start
 from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
 from rpgd_ros.core.report import report
 from rpgd_ros.core.settle import Details, settle
-from rpgd_ros.core.thin import MIDDLE_POINTS, budget, spread, thin
+from rpgd_ros.core.thin import MIDDLE_POINTS, thin, thin_each
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -149,7 +149,7 @@ def _published_start(
 ) -> tuple[RigidTransform, NoiseModel]:
     tau = config.ransac.threshold_px or PAPER_THRESHOLD_PX
     ransac = replace(config.ransac, threshold_px=tau)
-    few = thin(sights, ransac.frame_stride, lambda n: spread(n, PAPER_RANSAC_FRAMES))
+    few = thin_each(sights, PAPER_RANSAC_FRAMES, stride=ransac.frame_stride)
     pose = published(few, ransac, rng, check=run.check('start'))
     return pose, noise_at(few, pose)
 
@@ -162,7 +162,7 @@ def _refine(
     check, refine, steps = run.check('refinement'), config.refine, config.refine.iterations
     if refine.method == 'newton' and refine.loss == 'robust':
         # The noise is fitted on a part of the data, where the pose is already at its optimum.
-        middle = thin(sights, 0, budget(sights, MIDDLE_POINTS))
+        middle = thin(sights, MIDDLE_POINTS)
         pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
         noise = noise_at(middle, pose, with_joints=refine.joint_noise)
         if noise.joint_sigma_m:
@@ -170,12 +170,12 @@ def _refine(
             noise = noise_at(middle, pose, with_joints=True)
     loss: Loss = SquaredLoss() if refine.loss == 'squared' else noise
     threshold_px = config.ransac.threshold_px or noise.threshold_px
-    used = thin(sights, refine.frame_stride, budget(sights, refine.max_correspondences))
+    used = thin(sights, refine.max_correspondences, stride=refine.frame_stride)
     if refine.method == 'newton':
         end = finish(used, pose, centroid, loss, max_steps=steps, threshold_px=threshold_px,
                      check=check)  # fmt: skip
         return end, loss, threshold_px
     if refine.method == 'adam':
-        few = thin(sights, refine.frame_stride, lambda n: spread(n, PAPER_REFINE_FRAMES))
+        few = thin_each(sights, PAPER_REFINE_FRAMES, stride=refine.frame_stride)
         pose = adam(few, pose, refine, loss, check=check)
     return appraise(used, pose, centroid, loss, threshold_px=threshold_px), loss, threshold_px

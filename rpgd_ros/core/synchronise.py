@@ -15,13 +15,14 @@ from rpgd_ros.core.linearise import Sight, residuals
 from rpgd_ros.core.noise import NoiseModel
 from rpgd_ros.core.ransac import Start, robust_start
 from rpgd_ros.core.search import coarse_offset
-from rpgd_ros.core.unknowns import System, Unknowns
+from rpgd_ros.core.unknowns import Unknowns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rpgd_ros.core.config import CalibrationConfig
     from rpgd_ros.core.timeline import Timeline
+    from rpgd_ros.core.unknowns import Solution
 
 WEAK_SHARE = 0.5  # a camera of which less agrees may be off by more than a descent can bridge
 POOR_SHARE = 0.5  # of what agrees in the others: something else than time is wrong with a camera
@@ -89,7 +90,7 @@ def _without_pretexts(problem: Problem, at: Settled, check: Callable[[float], No
         return at
     system = look(problem, at.state, at.unknowns, at.noise)
     precision, _ = prior(at.unknowns, at.state)
-    sigma = sigmas(system, precision)[at.unknowns.offsets]
+    sigma = sigmas(system.solved(precision))[at.unknowns.offsets]
     poor = [v for v in poor if sigma[v] > POOR_SIGMA * np.median(np.delete(sigma, poor))]
     if not poor:
         return at
@@ -123,16 +124,18 @@ def _with_rates(problem: Problem, at: Settled, check: Callable[[float], None]) -
     freed = replace(at.unknowns, rate=offset)
     system = look(problem, at.state, freed, at.noise)
     precision, value = prior(freed, at.state)
-    step, _ = system.step(precision, value)
+    solution = system.solved(precision)
+    step, _ = solution.step(value)
     # Here by independent errors alone: a wrong rate is what makes joints and times scatter.
-    wrong = _beyond(step[freed.rates], np.sqrt(np.diag(system.inverse(precision)))[freed.rates])
+    wrong = _beyond(step[freed.rates], np.sqrt(np.diag(solution.inverse))[freed.rates])
     kept: list[int] | None = None
     while wrong and wrong != kept:
         kept = wrong
         rate = tuple(kept.index(c) if c in kept else -1 for c in offset)
         found = settled(problem, at._replace(unknowns=replace(at.unknowns, rate=rate)), check)
         system = look(problem, found.state, found.unknowns, found.noise)
-        sigma = sigmas(system, prior(found.unknowns, found.state)[0])[found.unknowns.rates]
+        solution = system.solved(prior(found.unknowns, found.state)[0])
+        sigma = sigmas(solution)[found.unknowns.rates]
         rates = [found.state.rate[rate.index(n)] for n in range(len(kept))]
         wrong = [kept[k] for k in _beyond(np.array(rates), sigma)]
     return found if wrong else at
@@ -151,7 +154,7 @@ def without_unknown(
     unknowns = at.unknowns
     precision, _ = prior(unknowns, at.state)
     system = look(problem, at.state, unknowns, at.noise)
-    sigma = sigmas(system, precision)[unknowns.offsets]
+    sigma = sigmas(system.solved(precision))[unknowns.offsets]
     known = np.flatnonzero(sigma <= max_sigma_s).tolist()
     if len(known) == len(sigma):
         return at
@@ -170,9 +173,9 @@ def without_unknown(
     return settled(problem, Settled(state, rest, at.noise), check)
 
 
-def sigmas(system: System, precision: Array) -> Array:
+def sigmas(solution: Solution) -> Array:
     """(p,) standard deviation of each unknown: what joints and times say of it, the larger."""
-    whole = larger(system.covariance(precision), system.covariance_over_time(precision))
+    whole = larger(solution.covariance, solution.covariance_over_time)
     out: Array = np.sqrt(np.diag(whole))
     return out
 

@@ -24,18 +24,22 @@ def spread(n_frames: int, wanted: int) -> IntArray:
     )
 
 
-def thin(sights: Sequence[Sight], stride: int, choose: Callable[[int], IntArray]) -> list[Sight]:
-    """Downsample in time: every stride-th frame, or those that `choose` picks of n."""
+def thin(sights: Sequence[Sight], points: int, *, stride: int = 0) -> list[Sight]:
+    """Downsample in time: every stride-th frame, or to about `points` correspondences in all."""
+    total = sum(s.view.n_frames * s.view.n_joints for s in sights)
+    share = min(1.0, points / max(total, 1))
+    return _pick(sights, stride, lambda n: spread(n, max(1, int(np.ceil(share * n)))))
+
+
+def thin_each(sights: Sequence[Sight], frames: int, *, stride: int = 0) -> list[Sight]:
+    """Downsample in time: every stride-th frame, or to `frames` of each camera."""
+    return _pick(sights, stride, lambda n: spread(n, frames))
+
+
+def _pick(sights: Sequence[Sight], stride: int, choose: Callable[[int], IntArray]) -> list[Sight]:
     out = []
     for s in sights:
         n = s.view.n_frames
         frames = np.arange(0, n, stride) if stride else choose(n)
         out.append(s if len(frames) == n else s.at_frames(frames))
     return out
-
-
-def budget(sights: Sequence[Sight], points: int) -> Callable[[int], IntArray]:
-    """Return a chooser that keeps about `points` correspondences over all cameras."""
-    total = sum(s.view.n_frames * s.view.n_joints for s in sights)
-    share = min(1.0, points / max(total, 1))
-    return lambda n_frames: spread(n_frames, max(1, int(np.ceil(share * n_frames))))

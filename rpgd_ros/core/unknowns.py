@@ -129,33 +129,42 @@ class System:
     time_scores: Array
     cost: float
 
-    def step(self, precision: Array, value: Array) -> tuple[Array, float]:
-        """Return the Newton step and its decrement.
+    def solved(self, precision: Array) -> Solution:
+        """Solve with a prior about zero of each parameter, of this (p,) precision; 0 for none."""
+        return Solution(self, precision, invert(self.hessian + np.diag(precision)))
 
-        Args:
-            precision: (p,) of the prior of each parameter about zero; 0 for none.
-            value: (p,) present value where there is a prior.
 
-        """
-        pull = self.gradient + precision * value
-        inverse = self.inverse(precision)
-        step = -inverse @ pull
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Normal equations with priors, solved.
+
+    Attributes:
+        system: Without the priors.
+        precision: (p,) of the prior of each parameter about zero; 0 for none.
+        inverse: (p, p) covariance of independent errors.
+
+    """
+
+    system: System
+    precision: Array
+    inverse: Array
+
+    def step(self, value: Array) -> tuple[Array, float]:
+        """Return the Newton step and its decrement, from the (p,) present values of the priors."""
+        pull = self.system.gradient + self.precision * value
+        step = -self.inverse @ pull
         return step, float(-pull @ step)
 
-    def inverse(self, precision: Array) -> Array:
-        """(p, p) covariance of independent errors."""
-        whole = self.hessian + np.diag(precision)
-        return invert(whole)
-
-    def covariance(self, precision: Array) -> Array:
+    @property
+    def covariance(self) -> Array:
         """(p, p) the larger of that of independent errors and of what differs between joints."""
-        inverse = self.inverse(precision)
-        return larger(inverse, inverse @ between_groups(self.joint_scores) @ inverse)
+        by_joint = self.inverse @ between_groups(self.system.joint_scores) @ self.inverse
+        return larger(self.inverse, by_joint)
 
-    def covariance_over_time(self, precision: Array) -> Array:
+    @property
+    def covariance_over_time(self) -> Array:
         """(p, p) from what differs between stretches of time."""
-        inverse = self.inverse(precision)
-        return inverse @ between_groups(self.time_scores) @ inverse
+        return self.inverse @ between_groups(self.system.time_scores) @ self.inverse
 
 
 def assemble(

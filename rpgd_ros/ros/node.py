@@ -62,7 +62,6 @@ class CalibratorNode(Node):
         self._is_enabled = True
         self._n_at_last_run = 0
         self._n_polls = 0
-        self._n_cameras = len(rig.cameras)
         output = TransformOutput(self, with_tf=config.node.tf_mode == 'static')
         results = Results(self, output, rig.world_frame, config.node.result_file)
         results.report = report
@@ -160,7 +159,7 @@ class CalibratorNode(Node):
 
     def _look(self) -> None:
         # Whoever looks at the overlays wants all cameras at once; else they take turns.
-        pairs = self._monitor.look(turns=1 if self._overlays.is_wanted else self._n_cameras)
+        pairs = self._monitor.look(at_all=self._overlays.is_wanted)
         results = self._engine.results
         self._overlays.publish(pairs, results.published, results.accepted)
 

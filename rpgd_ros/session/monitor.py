@@ -10,7 +10,7 @@ from rpgd_ros.core.config import AcceptConfig
 from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.result import Calibration
-from rpgd_ros.core.thin import budget, thin
+from rpgd_ros.core.thin import thin
 from rpgd_ros.io.result_file import StoredLevel
 from rpgd_ros.session.collect import MOCAP, Session
 from rpgd_ros.session.coverage import Coverage
@@ -66,7 +66,7 @@ def appraise(snapshot: Snapshot, calibration: Calibration) -> Appraisal:
         for camera in settled.cameras
         if camera.name in snapshot.turns and camera.camera_T_world is not None
     }
-    few = thin(sights, 0, budget(sights, APPRAISED_POINTS))
+    few = thin(sights, APPRAISED_POINTS)
     pose = calibration.world_T_mocap
     expectation = Expectation(pose, calibration.centroid_mocap)
     n_frames, n_few = (sum(s.view.n_frames for s in part) for part in (sights, few))
@@ -102,12 +102,12 @@ class Monitor:
         self._n_epochs = session.n_epochs
         self._n_looks = 0
 
-    def look(self, *, turns: int = 1) -> list[Pairs]:
+    def look(self, *, at_all: bool = True) -> list[Pairs]:
         """Take what came since the last time, and return it.
 
         Args:
-            turns: In how many calls each camera gets its turn: one call takes milliseconds per
-                camera, for which no message is taken from the middleware.
+            at_all: At all cameras, else at the next one in turn: one camera takes milliseconds,
+                for which no message is taken from the middleware.
 
         """
         if self._n_epochs != self._session.n_epochs:
@@ -115,7 +115,7 @@ class Monitor:
             self._start_over()
         names = [name for name in self._session.streams if name != MOCAP]
         self._n_looks += 1
-        pairs = self.recent.take(names[self._n_looks % turns :: turns])
+        pairs = self.recent.take(names if at_all else [names[self._n_looks % len(names)]])
         self.coverage.add(pairs)
         self.watch.add(pairs)
         if self._expectation is not None:

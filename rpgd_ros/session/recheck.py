@@ -14,7 +14,7 @@ import numpy as np
 
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.observations import NS_PER_S
-from rpgd_ros.core.thin import budget, thin
+from rpgd_ros.core.thin import thin
 from rpgd_ros.io.result_file import StoredResult
 from rpgd_ros.session.levels import Level, Running, Window, stored_levels, windows
 from rpgd_ros.session.monitor import APPRAISED_POINTS
@@ -111,7 +111,7 @@ def _sights(snapshot: Snapshot, stored: StoredResult) -> dict[str, Sight]:
     ]
     if not seen:
         return {}
-    return {s.camera.name: s for s in thin(seen, 0, budget(seen, APPRAISED_POINTS))}
+    return {s.camera.name: s for s in thin(seen, APPRAISED_POINTS)}
 
 
 def _check(
