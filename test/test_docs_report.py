@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rpgd_ros.apps import calibrate_bag, simulate
-from rpgd_ros.apps.bag_json import json_of
+from rpgd_ros.apps.bag_json import bag_json
 from rpgd_ros.report.verdict import HEADLINES
 
 pytest.importorskip('plotly')
@@ -46,7 +46,7 @@ def test_the_keys_of_the_table_are_those_that_are_printed() -> None:
     """In their order."""
     section = PAGE.split('## For scripts')[1].split('##')[0]
     told = re.findall(r'^\| `(\w+)` \|', section, re.MULTILINE)
-    assert told == list(json.loads(json_of('bad_input', 2)))
+    assert told == list(json.loads(bag_json('bad_input', 2)))
 
 
 def test_first_lines_that_are_explained_are_said() -> None:

@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 import argparse
-import json
-from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 
-from rpgd_ros.apps.bag_json import JSON_SCHEMA
 from rpgd_ros.apps.bag_outputs import OUTPUTS
 from rpgd_ros.apps.bag_run import BagRun, tell
 from rpgd_ros.apps.tables import new_table
@@ -93,24 +90,13 @@ def print_check(console: Console, found: Recheck, stored: StoredResult) -> None:
     tell(console, f'the transform of {when} still fits' if found.fits else found.complaint)
 
 
-def check_json(status: str, code: int, found: Recheck, stored: StoredResult, run: BagRun) -> str:
-    """Return the outcome for programs; the keys are documented in docs/report.md."""
-    tree: dict[str, Any] = {
-        'schema': JSON_SCHEMA,
-        'status': status,
-        'exit_code': code,
-        'reason': None,
-        'message': '; '.join(filter(None, [found.complaint, run.problem])) or None,
-        'streams': [{**s._asdict(), 'dropped': dict(s.dropped)} for s in run.streams],
-        'files': {},
-        'result': None,
-        'check': {
-            'found': utc(stored.stamp_ns),
-            'fits': found.fits,
-            'cameras': {camera.name: camera_tree(camera) for camera in found.cameras},
-        },
+def check_tree(found: Recheck, stored: StoredResult) -> dict[str, object]:
+    """Return it for programs; the keys are documented in docs/report.md."""
+    return {
+        'found': utc(stored.stamp_ns),
+        'fits': found.fits,
+        'cameras': {camera.name: camera_tree(camera) for camera in found.cameras},
     }
-    return json.dumps(tree, indent=2)
 
 
 def _row(c: CameraCheck) -> tuple[str, ...]:

@@ -14,12 +14,12 @@ from rich.console import Console
 from rpgd_ros.apps.bag_check import (
     check_arguments,
     check_bag,
-    check_json,
+    check_tree,
     print_check,
     read_accepted,
 )
 from rpgd_ros.apps.bag_job import Written
-from rpgd_ros.apps.bag_json import json_of
+from rpgd_ros.apps.bag_json import bag_json
 from rpgd_ros.apps.bag_outputs import check_outputs, tell_written, write_outputs
 from rpgd_ros.apps.bag_run import BagRun, read_bag, solve_bag
 from rpgd_ros.apps.bag_setup import read_setup
@@ -159,7 +159,7 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
     code = EXIT_PARTIAL if run.problem else EXIT_ACCEPTED
     if arguments.json:
         status = 'partial' if run.problem else 'accepted'
-        print(json_of(status, code, message=run.problem, run=run, written=written))
+        print(bag_json(status, code, message=run.problem, run=run, written=written))
     return code
 
 
@@ -175,7 +175,9 @@ def _check(arguments: argparse.Namespace, out: Console, err: Console, stop: Even
     if found.fits:
         code, status = (EXIT_PARTIAL, 'partial') if run.problem else (EXIT_ACCEPTED, 'fits')
     if arguments.json:
-        print(check_json(status, code, found, stored, run))
+        message = '; '.join(filter(None, [found.complaint, run.problem]))
+        tree = check_tree(found, stored)
+        print(bag_json(status, code, message=message, run=run, check=tree))
     else:
         print_check(out, found, stored)
     return code
@@ -191,11 +193,7 @@ def _refuse(
     print(f'calibrate_bag: {verdict} ({error.reason}): {error.message}', file=sys.stderr)
     if arguments.json:
         status = verdict.replace(' ', '_')
-        print(
-            json_of(
-                status, code, reason=error.reason, message=error.message, run=run, written=written
-            )
-        )
+        print(bag_json(status, code, error=error, run=run, written=written))
     return code
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`--json` of the programs that write recordings: the outcome for programs."""
+"""`--json`: the outcome for programs, as every command tells it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from rpgd_ros.core.errors import InputError
+from rpgd_ros.core.errors import RpgdError
 
 JSON_SCHEMA: Final = 1
 
@@ -17,17 +17,19 @@ def json_of(
     status: str,
     code: int,
     *,
-    error: InputError | None = None,
+    error: RpgdError | None = None,
+    message: str = '',
     files: Mapping[str, Path] | None = None,
     **more: object,
 ) -> str:
-    """Return a run for programs; the keys are documented in docs/import.md.
+    """Return a run for programs; the keys are documented in docs/report.md and docs/import.md.
 
     Args:
-        status: written, understood, bad_input.
+        status: What became of it, a word.
         code: Exit code.
-        error: Why nothing was written.
-        files: What was, by its kind.
+        error: Why there is no result.
+        message: What else to tell a person.
+        files: What was written, by its kind.
         **more: What else the program has to say.
 
     """
@@ -36,7 +38,7 @@ def json_of(
         'status': status,
         'exit_code': code,
         'reason': error.reason if error else None,
-        'message': error.message if error else None,
+        'message': error.message if error else message or None,
         'files': {kind: str(path) for kind, path in (files or {}).items()},
     }
     return json.dumps(tree | more, indent=2, default=str)

@@ -17,8 +17,6 @@ TRANSFORM_STAMPED: Final = 'geometry_msgs/msg/TransformStamped'
 POSE_WITH_COVARIANCE: Final = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 STRING: Final = 'std_msgs/msg/String'
 FLOAT64: Final = 'std_msgs/msg/Float64'
-# Of a pose ROS has x y z rotX rotY rotZ; ours is rotation first.
-ROS_ORDER: Final = np.array([3, 4, 5, 0, 1, 2])
 LINE_LIST: Final = 5
 TEXT: Final = 9
 ADD: Final = 0
@@ -95,8 +93,17 @@ def encode_pose(stamp_ns: int, parent: str, pose: RigidTransform, covariance: Ar
     """
     writer = CdrWriter().header(stamp_ns, parent).numbers('d', *pose.translation.tolist())
     writer.numbers('d', *pose.quat_xyzw.tolist())
-    ordered = covariance[np.ix_(ROS_ORDER, ROS_ORDER)]
-    return writer.numbers('d', *ordered.ravel().tolist()).done()
+    return writer.numbers('d', *ros_covariance(covariance)).done()
+
+
+def ros_covariance(covariance: Array) -> list[float]:
+    """Return a pose's covariance as ROS has it: 36 numbers, x y z rotX rotY rotZ.
+
+    Both turn about the fixed axes of the parent frame; ours, (6, 6), is rotation first.
+    """
+    order = [3, 4, 5, 0, 1, 2]
+    out: list[float] = covariance[np.ix_(order, order)].ravel().tolist()
+    return out
 
 
 def encode_text(text: str) -> bytes:

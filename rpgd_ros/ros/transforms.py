@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from rclpy.node import Node
@@ -22,6 +21,7 @@ from std_msgs.msg import Float64
 
 from rpgd_ros.core.camera_pose import CameraPose, is_mocap_world
 from rpgd_ros.core.geometry import Array, RigidTransform
+from rpgd_ros.messages.markers import ros_covariance
 
 NS_PER_S = 1_000_000_000
 
@@ -30,10 +30,6 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-
-# ROS orders a pose's covariance x y z rotX rotY rotZ; ours is rotation first. Both turn about the
-# fixed axes of the parent frame.
-ROS_ORDER = np.array([3, 4, 5, 0, 1, 2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,8 +121,7 @@ def _pose(
     p, q = message.pose.pose.position, message.pose.pose.orientation
     p.x, p.y, p.z = (float(v) for v in parent_T_child.translation)
     q.x, q.y, q.z, q.w = (float(v) for v in parent_T_child.quat_xyzw)
-    ordered = covariance[np.ix_(ROS_ORDER, ROS_ORDER)]
-    message.pose.covariance = [float(v) for v in ordered.ravel()]
+    message.pose.covariance = ros_covariance(covariance)
     return message
 
 
