@@ -11,7 +11,7 @@ from core_cases import sights_of
 from scenes import scene
 
 from rpgd_ros.core import CalibrationError, Observations, Reason, View, calibrate
-from rpgd_ros.core.body import check_body, motion_m
+from rpgd_ros.core.body import Body
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.simulation import Twin
@@ -32,21 +32,21 @@ def scaled(case: Twin, factor: float) -> list[Sight]:
 def test_another_unit_is_named(shape: str, factor: float, unit: str) -> None:
     """No person spans 70 m; the message says what to set."""
     with pytest.raises(CalibrationError, match=f'looks like {unit}: set `mocap.units`') as refused:
-        check_body(scaled(scene(shape, 100, 3), factor))
+        Body.of(scaled(scene(shape, 100, 3), factor)).check()
     assert refused.value.reason is Reason.WRONG_UNIT
 
 
 def test_a_skeleton_of_a_few_centimetres_is_no_person() -> None:
     """Metres read as kilometres, or a toy."""
     with pytest.raises(CalibrationError, match=r'spans .* m, a person 0.5 to 2.5 m') as refused:
-        check_body(scaled(scene('human36m', 100, 3), 0.01))
+        Body.of(scaled(scene('human36m', 100, 3), 0.01)).check()
     assert refused.value.reason is Reason.WRONG_UNIT
 
 
 @pytest.mark.parametrize('factor', [0.6, 1.0, 1.3])
 def test_children_and_giants_are_persons(factor: float) -> None:
     """A body of 1.0 to 2.3 m passes."""
-    check_body(scaled(scene('human36m', 100, 3), factor))
+    Body.of(scaled(scene('human36m', 100, 3), factor)).check()
 
 
 def test_one_joint_far_off_does_not_change_the_unit() -> None:
@@ -54,7 +54,7 @@ def test_one_joint_far_off_does_not_change_the_unit() -> None:
     sights = sights_of(scene('human36m', 200, 3))
     for sight in sights:
         sight.view.x_mocap[::5, 3] = 900.0
-    check_body(sights)
+    Body.of(sights).check()
 
 
 def test_one_joint_kilometres_away_does_not_make_the_rest_a_line() -> None:
@@ -62,7 +62,7 @@ def test_one_joint_kilometres_away_does_not_make_the_rest_a_line() -> None:
     sights = sights_of(scene('human36m', 20, 3))
     for sight in sights:
         sight.view.x_mocap[0, 3] = [13_818.0, 0.0, 0.0]
-    check_body(sights)
+    Body.of(sights).check()
 
 
 def test_motion_is_what_the_centre_of_the_body_covers() -> None:
@@ -74,7 +74,7 @@ def test_motion_is_what_the_centre_of_the_body_covers() -> None:
     sight = Sight(
         sights_of(scene('kinect', 30, 0))[0].camera, View(None, x, np.ones((200, 17, 2)))
     )
-    assert motion_m([sight]) == pytest.approx(0.96 * 3.0, rel=0.02)
+    assert Body.of([sight]).motion_m == pytest.approx(0.96 * 3.0, rel=0.02)
 
 
 def test_a_motion_that_nobody_saw_does_not_count() -> None:
@@ -83,7 +83,7 @@ def test_a_motion_that_nobody_saw_does_not_count() -> None:
     sight = sights_of(case)[0]
     uv = np.where(np.arange(200)[:, None, None] < 5, sight.view.uv, np.nan)
     unseen = Sight(sight.camera, replace(sight.view, uv=uv))
-    assert motion_m([unseen]) < 0.2 < motion_m([sight])
+    assert Body.of([unseen]).motion_m < 0.2 < Body.of([sight]).motion_m
 
 
 def with_skeleton_in(case: Twin, frames: Array | slice) -> Observations:

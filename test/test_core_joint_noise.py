@@ -14,7 +14,8 @@ from rpgd_ros.core import normal as module
 from rpgd_ros.core.config import RefineConfig
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight, linearise
-from rpgd_ros.core.noise import NoiseModel, noise_at
+from rpgd_ros.core.noise import NoiseModel
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.normal import apply_delta, normal_equations
 from rpgd_ros.simulation import Twin
 

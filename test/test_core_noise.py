@@ -15,7 +15,8 @@ from numeric import jacobian
 from rpgd_ros.core import CalibrationError, Reason, RigidTransform
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Residuals
-from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, fit_noise, noise_at
+from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss
+from rpgd_ros.core.noise_fit import fit_noise, noise_at
 
 LARGEST_PX = 34.0  # a focal length of 1145 px
 MODEL = NoiseModel(sigma_px=2.0, nu=3.0, share=0.8, background=1e-6)

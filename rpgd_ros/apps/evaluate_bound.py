@@ -11,7 +11,8 @@ from rpgd_ros.apps.bench_problems import Bound, cramer_rao
 from rpgd_ros.apps.bench_select import evenly
 from rpgd_ros.core.geometry import BoolArray
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import NoiseModel, noise_at
+from rpgd_ros.core.noise import NoiseModel
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.datasets import DatasetSequence
 from rpgd_ros.simulation import Faults, Truth, Twin
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rpgd_ros.core.body import motion_m
+from rpgd_ros.core.body import Body
 from rpgd_ros.core.errors import CalibrationError
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.observations import Observations
@@ -79,4 +79,4 @@ def observations_of(snapshot: Snapshot, calibration: Calibration | None) -> Obse
 def moved_m(snapshot: Snapshot) -> float:
     """Return the distance that the body covered, as the gates count it, metres."""
     pairs = zip(snapshot.cameras, snapshot.observations.views, strict=True)
-    return motion_m([Sight(camera, view) for camera, view in pairs if view.n_frames])
+    return Body.of([Sight(camera, view) for camera, view in pairs if view.n_frames]).motion_m

@@ -17,7 +17,8 @@ import numpy as np
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.moments import N_ALL, N_ESTIMATED, Scene, sum_moments
-from rpgd_ros.core.noise import NoiseModel, noise_at
+from rpgd_ros.core.noise import NoiseModel
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.normal import apply_delta
 from rpgd_ros.core.unknowns import System, Unknowns, assemble
 

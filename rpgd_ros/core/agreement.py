@@ -15,7 +15,7 @@ import numpy as np
 from rpgd_ros.core.covariance import invert, larger, spread_between
 from rpgd_ros.core.errors import CalibrationError
 from rpgd_ros.core.geometry import Array, RigidTransform, so3_log
-from rpgd_ros.core.noise import noise_at
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.observations import NS_PER_S
 from rpgd_ros.core.polish import polish
 from rpgd_ros.core.pool import make_pool
@@ -162,7 +162,7 @@ def _alone(sight: Sight, pose: RigidTransform, centroid_mocap: Array) -> _Opinio
         pool = make_pool(few, ALONE_POOL, np.random.default_rng(0))
         if len(pool) < MIN_JOINTS:
             return None
-        near = polish(pool, pose)
+        (near,) = polish(pool, [pose])
         noise = noise_at(few, near.world_T_mocap)
     except CalibrationError:
         return None

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -26,36 +27,73 @@ STRAY = 20.0  # times the median distance from the middle: a marker gone wild, n
 LINE_RATIO = 1e-3  # second over first extent of the points: a line, up to rounding and noise
 
 
-def check_body(sights: Sequence[Sight]) -> None:
-    """Refuse skeletons that are not of a person in metres, or lie on a line.
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A look at some of the skeletons.
 
-    Raises:
-        CalibrationError: NO_DATA, TOO_FEW_POINTS, WRONG_UNIT, DEGENERATE_GEOMETRY.
+    Attributes:
+        joints: By camera, (n, J, 3) metres; NaN where no correspondence is.
 
     """
-    x = np.concatenate([sampled_joints(s, len(sights)) for s in sights])
-    there = _finite(x)
-    if not there.any():
-        msg = 'no correspondence: no joint was seen by MoCap and camera at the same time'
-        raise CalibrationError(Reason.NO_DATA, msg)
-    if there.sum() < 6:
-        msg = f'{there.sum()} correspondences, need at least 6'
-        raise CalibrationError(Reason.TOO_FEW_POINTS, msg)
-    _check_size(x)
-    points = x[there] - np.median(x[there], axis=0)
-    reach = np.linalg.norm(points, axis=1)
-    points = points[reach <= STRAY * np.median(reach)]
-    extent = np.sqrt(np.maximum(np.linalg.eigvalsh(points.T @ points)[::-1], 0.0))
-    if extent[1] < LINE_RATIO * extent[0] or extent[0] == 0.0:
-        shape = 'point' if extent[0] < 1e-9 else 'line'
-        msg = (
-            f'all joints lie on one {shape} for the whole recording: the pose is not determined. '
-            'Check the joint map and that the skeleton moves'
-        )
-        raise CalibrationError(Reason.DEGENERATE_GEOMETRY, msg)
+
+    joints: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, sights: Sequence[Sight]) -> Self:
+        """Take frames of all cameras, spread over those in which somebody is in view."""
+        return cls(tuple(_sampled_joints(s, len(sights)) for s in sights))
+
+    @property
+    def centre(self) -> Array:
+        """(3,) of the observed joints, metres."""
+        x = np.concatenate([x.reshape(-1, 3) for x in self.joints])
+        centre: Array = np.median(x[_finite(x)], axis=0)
+        return centre
+
+    @property
+    def motion_m(self) -> float:
+        """Distance that the body covered: diagonal of the box that holds its centre, metres."""
+        centres = []
+        for x in self.joints:
+            there = _finite(x)
+            rows = there.sum(1) >= max(1, 0.5 * there.sum(1).max(initial=0))
+            if rows.any():
+                centres.append(np.nanmean(np.where(there[..., None], x, np.nan)[rows], 1))
+        if not centres:
+            return 0.0
+        low, high = np.quantile(np.concatenate(centres), [0.02, 0.98], axis=0)
+        return float(np.linalg.norm(high - low))
+
+    def check(self) -> None:
+        """Refuse skeletons that are not of a person in metres, or lie on a line.
+
+        Raises:
+            CalibrationError: NO_DATA, TOO_FEW_POINTS, WRONG_UNIT, DEGENERATE_GEOMETRY.
+
+        """
+        x = np.concatenate(self.joints)
+        there = _finite(x)
+        if not there.any():
+            msg = 'no correspondence: no joint was seen by MoCap and camera at the same time'
+            raise CalibrationError(Reason.NO_DATA, msg)
+        if there.sum() < 6:
+            msg = f'{there.sum()} correspondences, need at least 6'
+            raise CalibrationError(Reason.TOO_FEW_POINTS, msg)
+        _check_size(x)
+        points = x[there] - np.median(x[there], axis=0)
+        reach = np.linalg.norm(points, axis=1)
+        points = points[reach <= STRAY * np.median(reach)]
+        extent = np.sqrt(np.maximum(np.linalg.eigvalsh(points.T @ points)[::-1], 0.0))
+        if extent[1] < LINE_RATIO * extent[0] or extent[0] == 0.0:
+            shape = 'point' if extent[0] < 1e-9 else 'line'
+            msg = (
+                f'all joints lie on one {shape} for the whole recording: the pose is not '
+                'determined. Check the joint map and that the skeleton moves'
+            )
+            raise CalibrationError(Reason.DEGENERATE_GEOMETRY, msg)
 
 
-def sampled_joints(sight: Sight, n_cameras: int) -> Array:
+def _sampled_joints(sight: Sight, n_cameras: int) -> Array:
     """(m, J, 3) joints of this camera's part of some frames, NaN where no correspondence is."""
     wanted = max(BODY_FRAMES // n_cameras, BODY_FRAMES_PER_CAMERA)
     view = sight.at_frames(spread(sight.view.n_frames, wanted)).view
@@ -88,18 +126,3 @@ def _check_size(x: Array) -> None:
     )
     msg = f'the skeleton spans {size:.4g} m, a person 0.5 to 2.5 m; {guess}'
     raise CalibrationError(Reason.WRONG_UNIT, msg)
-
-
-def motion_m(sights: Sequence[Sight]) -> float:
-    """Distance that the body covered: diagonal of the box that holds its centre, metres."""
-    centres = []
-    for sight in sights:
-        x = sampled_joints(sight, len(sights))
-        there = _finite(x)
-        rows = there.sum(1) >= max(1, 0.5 * there.sum(1).max(initial=0))
-        if rows.any():
-            centres.append(np.nanmean(np.where(there[..., None], x, np.nan)[rows], 1))
-    if not centres:
-        return 0.0
-    low, high = np.quantile(np.concatenate(centres), [0.02, 0.98], axis=0)
-    return float(np.linalg.norm(high - low))

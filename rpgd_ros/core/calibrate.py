@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rpgd_ros.core.body import motion_m
 from rpgd_ros.core.camera_pose import CameraPose, through_world
 from rpgd_ros.core.config import (
     CalibrationConfig,
@@ -140,11 +139,11 @@ def _placed(
 
 def _pass_gates(solved: Solved, run: Run) -> None:
     """Raise when nobody should use the calibration, naming the cause where it is known."""
-    calibration, sights, rival_ratio, _ = solved
+    calibration, sights, body, rival_ratio, _ = solved
     config = calibration.config
     refuse_swapped(sights, calibration)
     try:
-        refuse(calibration, config.accept, motion_m(sights))
+        refuse(calibration, config.accept, body.motion_m)
         refuse_ambiguous(rival_ratio, calibration)
     except CalibrationError as refusal:
         check = run.check('diagnosis')

@@ -158,7 +158,7 @@ def _settled(sample: Sample, pose: RigidTransform) -> Found:
     """Choose pairs and polish, turn by turn, until the choice stays."""
     points = sample.chosen(pose, SOFT, CAP)
     for _ in range(ROUNDS):
-        candidate = polish(sample.pool.take(points), pose)
+        (candidate,) = polish(sample.pool.take(points), [pose])
         pose = candidate.world_T_mocap
         before = points
         points = sample.chosen(pose, *FINE)

@@ -93,8 +93,10 @@ def swapped_joints(
         x, uv = np.where(seen, part.view.x_mocap, np.nan), np.where(seen, part.view.uv, np.nan)
         projected = part.camera.project_camera((part.camera_T_world @ pose) @ x)
         # (F, keypoint, projection): who lies on whom.
-        apart = uv[:, :, None] - projected[:, None]
-        squared = apart[..., 0] ** 2 + apart[..., 1] ** 2
+        squared, across = (uv[:, :, None, k] - projected[:, None, :, k] for k in range(2))
+        squared *= squared
+        across *= across
+        squared += across
         nearest = np.sqrt(np.fmin.reduce(squared, axis=2, keepdims=True))
         hits += (squared < np.minimum(threshold_px, NEAR * nearest + TINY_PX) ** 2).sum(0)
         counts += np.isfinite(squared).sum(0)

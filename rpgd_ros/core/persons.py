@@ -22,7 +22,8 @@ from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray, RigidTransform
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.matching import best_matching
-from rpgd_ros.core.noise import NoiseModel, noise_at
+from rpgd_ros.core.noise import NoiseModel
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.observations import MocapTrack, Observations
 from rpgd_ros.core.refine import descend
 from rpgd_ros.core.synchronise import Settled, settled

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from rpgd_ros.core.geometry import Array, RigidTransform
-from rpgd_ros.core.noise import LARGEST_NOISE, NoiseModel, fit_noise
+from rpgd_ros.core.noise import NoiseModel
+from rpgd_ros.core.noise_fit import LARGEST_NOISE, rough_noises
 from rpgd_ros.core.normal import apply_delta
 from rpgd_ros.core.pool import Pool
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 LEAST_SHARE = 0.08  # below the least share of inliers that is accepted
 POLISH_QUANTILE = 0.1  # of the residuals: their scale while the share of inliers is unknown
@@ -42,20 +46,33 @@ class Candidate(NamedTuple):
         return self.noise.is_sharp and self.noise.share >= LEAST_SHARE
 
 
-def polish(pool: Pool, pose: RigidTransform) -> Candidate:
+def polish(pool: Pool, poses: Sequence[RigidTransform]) -> list[Candidate]:
     """Descend on the pool with a loss whose scale follows the residuals, and fit their spread."""
     rotations = np.ascontiguousarray(pool.camera_R_world[pool.camera].transpose(1, 2, 0))
     translations = np.ascontiguousarray(pool.camera_t_world[pool.camera].T)
+    ends = [_descend(pool, pose, rotations, translations) for pose in poses]
+    squared = pool.squared_residuals(
+        np.stack([e.rotation for e in ends]), np.stack([e.translation for e in ends])
+    )
+    residual_px = np.sqrt(np.minimum(squared, 1e8))
+    largest_px = LARGEST_NOISE * float(np.median(pool.focal_px))
+    noises = rough_noises(residual_px, largest_px=largest_px)
+    return [
+        Candidate(end, noise, noise.cost_per_point(r))
+        for end, noise, r in zip(ends, noises, residual_px, strict=True)
+    ]
+
+
+def _descend(
+    pool: Pool, pose: RigidTransform, rotations: Array, translations: Array
+) -> RigidTransform:
+    """Go to the nearest optimum; arguments as for `_polish_step`."""
     for _ in range(POLISH_STEPS):
         delta, pivot = _polish_step(pool, pose, rotations, translations)
         pose = apply_delta(pose, delta, pivot)
         if np.abs(delta).max() < POLISH_DONE:
             break
-    squared = pool.squared_residuals(pose.rotation[None], pose.translation[None])[0]
-    residual_px = np.sqrt(np.minimum(squared, 1e8))
-    largest_px = LARGEST_NOISE * float(np.median(pool.focal_px))
-    noise = fit_noise(residual_px, largest_px=largest_px, quick=True)
-    return Candidate(pose, noise, noise.cost_per_point(residual_px))
+    return pose
 
 
 def _polish_step(

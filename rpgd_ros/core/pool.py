@@ -84,16 +84,20 @@ class Pool:
             part = slice(start, stop)
             r = self.camera_R_world[c] @ rotation
             t = translation @ self.camera_R_world[c].T + self.camera_t_world[c]
-            moved = (r.reshape(-1, 3) @ self.x_mocap[part].T).reshape(len(r), 3, stop - start)
-            moved += t[:, :, None]
-            x, y, z = moved[:, 0], moved[:, 1], moved[:, 2]
+            moved = r.transpose(1, 0, 2).reshape(-1, 3) @ self.x_mocap[part].T
+            a, b, z = moved.reshape(3, len(r), stop - start) + t.T[:, :, None]
             behind = z < MIN_DEPTH
-            z[behind] = 1.0
-            a = x / z - self.ideal[part, 0]
-            b = y / z - self.ideal[part, 1]
-            squared = (a * a + b * b) * self.focal_px[start] ** 2
-            squared[behind] = np.inf
-            out[:, part] = squared
+            iz = 1.0 / np.where(behind, 1.0, z)
+            a *= iz
+            b *= iz
+            a -= self.ideal[part, 0]
+            b -= self.ideal[part, 1]
+            a *= a
+            b *= b
+            a += b
+            a *= self.focal_px[start] ** 2
+            a[behind] = np.inf
+            out[:, part] = a
         return out
 
 

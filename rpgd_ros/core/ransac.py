@@ -204,19 +204,20 @@ def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
         (H, 3, 3) world_R_mocap and (H, 3) translations, metres.
 
     """
+    triplets = triplets[~_degenerate(pool.x_mocap[triplets])]
     rotvecs: list[Array] = []
     shifts: list[Array] = []
-    source: list[IntArray] = []
+    counts: list[int] = []
     identity = np.eye(3)
-    for triplet in triplets[~_degenerate(pool.x_mocap[triplets])]:
-        x, ideal = pool.x_mocap[triplet, None], pool.ideal[triplet, None]
+    for x, ideal in zip(pool.x_mocap[triplets], pool.ideal[triplets], strict=True):
         _, rvecs, tvecs = cv2.solveP3P(x, ideal, identity, None, flags=cv2.SOLVEPNP_AP3P)
-        rotvecs += [np.asarray(r, np.float64).ravel() for r in rvecs]
-        shifts += [np.asarray(t, np.float64).ravel() for t in tvecs]
-        source += [triplet] * len(rvecs)
-    if not source:
+        rotvecs += rvecs
+        shifts += tvecs
+        counts.append(len(rvecs))
+    if not rotvecs:
         return np.empty((0, 3, 3)), np.empty((0, 3))
-    v, t, triplet = np.array(rotvecs), np.array(shifts), np.array(source)
+    v, t = (np.concatenate(column, axis=1).T for column in (rotvecs, shifts))
+    triplet = np.repeat(triplets, counts, axis=0)
     good = np.isfinite(v).all(-1) & np.isfinite(t).all(-1) & (np.abs(t).max(-1) < 1e6)
     r, t, triplet = so3_exp(v[good]), t[good], triplet[good]
     depth = (pool.x_mocap[triplet] @ r[:, 2, :, None])[:, :, 0] + t[:, 2:]
@@ -285,9 +286,8 @@ def _polish_best(pool: Pool, kept: Ranked) -> list[Candidate]:
         pose = RigidTransform(nearest_rotation(r), t)
         if len(starts) < POLISHED and not any(is_same(pose, s, centroid) for s in starts):
             starts.append(pose)
-    polished = [polish(pool, pose) for pose in starts]
     minima: list[Candidate] = []
-    for c in sorted(polished, key=lambda one: (not one.is_sharp, one.cost)):
+    for c in sorted(polish(pool, starts), key=lambda one: (not one.is_sharp, one.cost)):
         poses = [m.world_T_mocap for m in minima]
         if not any(is_same(c.world_T_mocap, pose, centroid) for pose in poses):
             minima.append(c)

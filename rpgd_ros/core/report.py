@@ -14,7 +14,8 @@ from rpgd_ros.core.dating import moved_meanwhile
 from rpgd_ros.core.findings import Findings
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, noise_at
+from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.quality import fits
 from rpgd_ros.core.refine import Descent, appraise
 from rpgd_ros.core.result import Calibration

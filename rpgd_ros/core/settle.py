@@ -21,7 +21,7 @@ from rpgd_ros.core.answer import Answer
 from rpgd_ros.core.body_frame import body_frames
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import noise_at
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.observations import is_there
 from rpgd_ros.core.questions import Lenses, Questions
 from rpgd_ros.core.ransac import Start, robust_start

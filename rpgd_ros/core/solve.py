@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rpgd_ros.core.body import check_body, sampled_joints
+from rpgd_ros.core.body import Body
 from rpgd_ros.core.config import (
     PAPER_RANSAC_FRAMES,
     PAPER_REFINE_FRAMES,
@@ -17,7 +17,8 @@ from rpgd_ros.core.config import (
 )
 from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss, noise_at
+from rpgd_ros.core.noise import Loss, NoiseModel, SquaredLoss
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.ransac import published, robust_start
 from rpgd_ros.core.refine import Descent, adam, appraise, descend, finish
 from rpgd_ros.core.report import report
@@ -68,6 +69,7 @@ class Solved(NamedTuple):
 
     calibration: Calibration
     sights: list[Sight]
+    body: Body
     rival_ratio: float
     details: Details | None
 
@@ -78,9 +80,10 @@ def solve(
 ) -> Solved:  # fmt: skip
     """Start, refine and collect the figures."""
     sights = _sights(cameras, observations)
-    check_body(sights)
+    body = Body.of(sights)
+    body.check()
     rng = np.random.default_rng(seed)
-    centroid = _centroid(sights)
+    centroid = body.centre
     details: Details | None = None
     if config.ransac.score == 'inliers':
         pose, noise = _published_start(sights, config, rng, run)
@@ -111,7 +114,7 @@ def solve(
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
         order=[c.name for c in cameras],
     )  # fmt: skip
-    return Solved(calibration, sights, rival_ratio, details)
+    return Solved(calibration, sights, body, rival_ratio, details)
 
 
 def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight]:
@@ -135,13 +138,6 @@ def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight
         msg = 'no frame with skeleton and keypoints'
         raise CalibrationError(Reason.NO_DATA, msg)
     return sights
-
-
-def _centroid(sights: Sequence[Sight]) -> Array:
-    """(3,) centre of the observed joints, metres: the pivot of all steps."""
-    x = np.concatenate([sampled_joints(s, len(sights)).reshape(-1, 3) for s in sights])
-    centre: Array = np.median(x[np.isfinite(x).all(-1)], axis=0)
-    return centre
 
 
 def _published_start(

@@ -19,7 +19,8 @@ from rpgd_ros.core.errors import CalibrationError
 from rpgd_ros.core.examine import TIME_BLOCKS, Examination, Tally, examine
 from rpgd_ros.core.geometry import Array, RigidTransform, skew
 from rpgd_ros.core.linearise import Sight
-from rpgd_ros.core.noise import NoiseModel, noise_at
+from rpgd_ros.core.noise import NoiseModel
+from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.normal import Normal, normal_equations
 from rpgd_ros.core.observations import NS_PER_S, View
 from rpgd_ros.core.refine import Descent
