@@ -211,8 +211,8 @@ def solve_triplets(pool: Pool, triplets: IntArray) -> tuple[Array, Array]:
     identity = np.eye(3)
     for x, ideal in zip(pool.x_mocap[triplets], pool.ideal[triplets], strict=True):
         _, rvecs, tvecs = cv2.solveP3P(x, ideal, identity, None, flags=cv2.SOLVEPNP_AP3P)
-        rotvecs += rvecs
-        shifts += tvecs
+        rotvecs += (np.asarray(r, np.float64) for r in rvecs)
+        shifts += (np.asarray(t, np.float64) for t in tvecs)
         counts.append(len(rvecs))
     if not rotvecs:
         return np.empty((0, 3, 3)), np.empty((0, 3))

@@ -62,19 +62,44 @@ class Timeline:
         step = self._t[before + 1] - self._t[before]
         s = (t - self._t[before]) / step
         inside = (s >= 0.0) & (s <= 1.0) & (step <= MAX_GAP_S)
-        s, h = s[:, None, None], step[:, None, None]
-        x0, x1 = self._x[before], self._x[before + 1]
-        m0, m1 = h * self._slope[before], h * self._slope[before + 1]
-        rise = x1 - x0
-        # Hermite: x0 + s m0 + s^2 (3 rise - 2 m0 - m1) + s^3 (m0 + m1 - 2 rise)
-        second, third = 3.0 * rise - 2.0 * m0 - m1, m0 + m1 - 2.0 * rise
-        x = x0 + s * (m0 + s * (second + s * third))
-        v = (m0 + s * (2.0 * second + s * 3.0 * third)) / h
         if self._is_noisy:
-            self._smooth(before, s, h, x, v)
+            both = self._splined(before, s, step)
+            gaps = ~np.isfinite(both)
+            if gaps.any():
+                both[gaps] = self._interpolated(before, s, step)[gaps]
+        else:
+            both = self._interpolated(before, s, step)
+        x, v = both.swapaxes(0, 1).reshape(2, len(t), *self._x.shape[1:])
         x[~inside] = np.nan
         v[~np.isfinite(x)] = 0.0
         return x, v
+
+    def _interpolated(self, before: IntArray, s: Array, h: Array) -> Array:
+        """(F, 2, 3 J) places and velocities by Hermite's cubic, a share s after a sample."""
+        s2, s3 = s * s, s**3
+        fall, rise = 6.0 * s - 6.0 * s2, 3.0 * s2 - 2.0 * s3
+        weights = np.stack([
+            1.0 - rise, rise, h * (s3 - 2.0 * s2 + s), h * (s3 - s2),
+            -fall / h, fall / h, 3.0 * s2 - 4.0 * s + 1.0, 3.0 * s2 - 2.0 * s,
+        ], 1)  # fmt: skip
+        around = before[:, None] + [0, 1]
+        n = len(before)
+        samples = np.concatenate([self._x[around], self._slope[around]], 1).reshape(n, 4, -1)
+        both: Array = weights.reshape(n, 2, 4) @ samples
+        return both
+
+    def _splined(self, before: IntArray, s: Array, h: Array) -> Array:
+        """(F, 2, 3 J) the same by the cubic B-spline; NaN where one of four samples is missing."""
+        r = 1.0 - s
+        s2, s3, r2, r3 = s * s, s**3, r * r, r**3
+        weights = np.stack([
+            r3, 3.0 * s3 - 6.0 * s2 + 4.0, 3.0 * r3 - 6.0 * r2 + 4.0, s3,
+            -3.0 * r2 / h, (9.0 * s2 - 12.0 * s) / h, (12.0 * r - 9.0 * r2) / h, 3.0 * s2 / h,
+        ], 1) / 6.0  # fmt: skip
+        around = np.clip(before[:, None] + [-1, 0, 1, 2], 0, len(self._t) - 1)
+        n = len(before)
+        both: Array = weights.reshape(n, 2, 4) @ self._x[around].reshape(n, 4, -1)
+        return both
 
     def turned(self, body: BodyFrame, t: Array) -> Array:
         """Return (F, 3, 3) mocap_R_heading at instants (F,), seconds: linear between samples.
@@ -90,18 +115,6 @@ class Timeline:
         s = s[:, None, None]
         mean: Array = (1.0 - s) * turns[before] + s * turns[before + 1]
         return mean
-
-    def _smooth(self, before: IntArray, s: Array, h: Array, x: Array, v: Array) -> None:
-        """Put the cubic B-spline in the place of the interpolation where four samples exist."""
-        last = len(self._t) - 1
-        around = [self._x[np.clip(before + k, 0, last)] for k in (-1, 0, 1, 2)]
-        r = 1.0 - s
-        weights = (r**3, 3 * s**3 - 6 * s**2 + 4, 3 * r**3 - 6 * r**2 + 4, s**3)
-        slopes = (-(r**2), 3 * s**2 - 4 * s, 4 * r - 3 * r**2, s**2)
-        mean = sum((w * a for w, a in zip(weights, around, strict=True)), np.zeros(1)) / 6.0
-        rate = sum((w * a for w, a in zip(slopes, around, strict=True)), np.zeros(1)) / (2.0 * h)
-        good = np.isfinite(mean)
-        x[good], v[good] = mean[good], rate[good]
 
 
 def track_noise_m(track: MocapTrack) -> float:
