@@ -91,7 +91,7 @@ def test_json_is_all_that_is_printed_and_carries_the_result_file(run: Run, tmp_p
     outcome = run('--json', '--output', output)
     tree = json.loads(outcome.out)
     assert list(tree) == [
-        'schema', 'status', 'exit_code', 'reason', 'message', 'streams', 'files', 'result', 'check'
+        'schema', 'status', 'exit_code', 'reason', 'message', 'files', 'streams', 'result', 'check'
     ]  # fmt: skip
     assert (tree['schema'], tree['status'], tree['exit_code']) == (1, 'accepted', 0)
     assert tree['files'] == {'output': str(output)}
