@@ -46,6 +46,16 @@ def test_time_is_known_only_where_it_was_told() -> None:
     ]
 
 
+def test_question_of_time_without_stamps_is_refused() -> None:
+    """The message says what is needed."""
+    assert Observations.from_arrays(X, UV, fps=1.0).views[0].known_stamp_ns[1] == 10**9
+    with pytest.raises(
+        InputError, match='frames without stamps: need the time of each'
+    ) as refused:
+        _ = Observations.from_arrays(X, UV).views[0].known_stamp_ns
+    assert refused.value.reason is Reason.BAD_INPUT
+
+
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [

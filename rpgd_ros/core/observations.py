@@ -51,6 +51,19 @@ class View:
         """Number of joints."""
         return int(self.uv.shape[1])
 
+    @property
+    def known_stamp_ns(self) -> IntArray:
+        """(F,) instants of the camera, for what makes no sense without them.
+
+        Raises:
+            InputError: No time is known.
+
+        """
+        if self.stamp_ns is None:
+            msg = 'frames without stamps: need the time of each, or their rate'
+            raise InputError(Reason.BAD_INPUT, msg)
+        return self.stamp_ns
+
     def seen(self) -> BoolArray:
         """(F, J) whether both sides of a correspondence are there and are numbers."""
         return is_there(self.uv) & is_there(self.x_mocap)

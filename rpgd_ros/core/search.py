@@ -75,9 +75,5 @@ def _scores(
 
 def _late(sight: Sight, timeline: Timeline, offset_s: float) -> Sight:
     """Return the camera with the skeletons of its stamps less an offset."""
-    stamp_ns = sight.view.stamp_ns
-    if stamp_ns is None:
-        msg = 'a view without stamps has no offset'
-        raise ValueError(msg)
-    x, _ = timeline.at(timeline.seconds(stamp_ns) - offset_s)
+    x, _ = timeline.at(timeline.seconds(sight.view.known_stamp_ns) - offset_s)
     return Sight(sight.camera, replace(sight.view, x_mocap=x))

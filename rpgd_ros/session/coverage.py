@@ -96,9 +96,7 @@ class Coverage:
     def add(self, pairs: Sequence[Pairs]) -> None:
         """Take what came since the last time."""
         for new in pairs:
-            stamp_ns = new.view.stamp_ns
-            if stamp_ns is None:
-                continue
+            stamp_ns = new.view.known_stamp_ns
             number = stamp_ns // self._slot_ns
             for n in np.unique(number).tolist():
                 rows = number == n

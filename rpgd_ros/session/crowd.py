@@ -61,8 +61,7 @@ def _view(
         view, _ = pair(track, frames, settings=sync, time_offset_s=late_s)
         rows = view.uv[:, 0, 0].astype(np.int64)
         x[rows, s], has_skeleton[rows] = view.x_mocap, True
-        if view.stamp_ns is not None:
-            stamp_ns[rows] = view.stamp_ns
+        stamp_ns[rows] = view.known_stamp_ns
     rows = np.flatnonzero(has_skeleton)
     scores = None if persons.confidence is None else persons.confidence[rows]
     return CrowdView(stamp_ns[rows], x[rows], persons.values[rows], scores)

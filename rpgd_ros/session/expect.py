@@ -194,30 +194,27 @@ class Expectation:
 
 
 def _block(sight: Sight, block_ns: int) -> int:
-    return 0 if sight.view.stamp_ns is None else int(sight.view.stamp_ns[0]) // block_ns
+    return int(sight.view.known_stamp_ns[0]) // block_ns
 
 
 def _blocks(sight: Sight, block_ns: int) -> list[Sight]:
     """Cut what a camera saw at the ends of stretches of time."""
-    if sight.view.stamp_ns is None:
-        return [sight]
-    number = sight.view.stamp_ns // block_ns
+    number = sight.view.known_stamp_ns // block_ns
     return [sight.at_frames(np.flatnonzero(number == n)) for n in np.unique(number)]
 
 
 def _span_s(sights: Sequence[Sight]) -> float:
-    first, last = sights[0].view.stamp_ns, sights[-1].view.stamp_ns
-    return 0.0 if first is None or last is None else float(last[-1] - first[0]) / NS_PER_S
+    first, last = sights[0].view.known_stamp_ns, sights[-1].view.known_stamp_ns
+    return float(last[-1] - first[0]) / NS_PER_S
 
 
 def _joined(sights: Sequence[Sight]) -> Sight:
     """Join what one camera saw, piece after piece, into one."""
     views = [s.view for s in sights]
-    stamps = [v.stamp_ns for v in views if v.stamp_ns is not None]
     return Sight(
         sights[-1].camera,
         View(
-            np.concatenate(stamps),
+            np.concatenate([v.known_stamp_ns for v in views]),
             np.concatenate([v.x_mocap for v in views]),
             np.concatenate([v.uv for v in views]),
         ),

@@ -135,13 +135,11 @@ def per_frame(
 
     Keypoint minus reprojection, pixels.
     """
-    if view.stamp_ns is None:
-        return np.empty(0, np.int64), np.empty(0), np.empty((0, 2))
     apart = _apart(camera, view, world_T_mocap)
     error = _medians(np.linalg.norm(apart, axis=-1))
     shift = _shifts(apart)
     tells = np.isfinite(error)
-    return view.stamp_ns[tells], error[tells], shift[tells]
+    return view.known_stamp_ns[tells], error[tells], shift[tells]
 
 
 def levels(sights: Sequence[Sight], world_T_mocap: RigidTransform) -> dict[str, Level]:
@@ -171,11 +169,9 @@ class Window(NamedTuple):
 
 def windows(sight: Sight, world_T_mocap: RigidTransform) -> list[Window]:
     """Return how a camera fits a pose, window by window, where it has seen enough."""
-    stamp_ns = sight.view.stamp_ns
-    if stamp_ns is None or len(stamp_ns) < MIN_FRAMES:
-        return []
+    stamp_ns = sight.view.known_stamp_ns
     length_ns = round(WINDOW_S * NS_PER_S)
-    number = (stamp_ns - stamp_ns[0]) // length_ns
+    number = (stamp_ns - stamp_ns[:1]) // length_ns
     found = []
     for n in np.unique(number):
         part = sight.at_frames(np.flatnonzero(number == n))

@@ -84,7 +84,7 @@ def recheck(snapshot: Snapshot, stored: StoredResult, cameras: Sequence[str]) ->
     """
     sights = _sights(snapshot, stored)
     levels = stored_levels(stored)
-    begins = [int(s.view.stamp_ns[0]) for s in sights.values() if s.view.stamp_ns is not None]
+    begins = [int(s.view.known_stamp_ns[0]) for s in sights.values()]
     begin_ns = min(begins, default=0)
     checked = tuple(
         _check(name, sights.get(name), levels.get(name), stored, begin_ns) for name in cameras
@@ -109,8 +109,6 @@ def _sights(snapshot: Snapshot, stored: StoredResult) -> dict[str, Sight]:
         for camera, view in zip(settled.cameras, views, strict=True)
         if view.n_frames and camera.camera_T_world is not None
     ]
-    if not seen:
-        return {}
     return {s.camera.name: s for s in thin(seen, APPRAISED_POINTS)}
 
 
