@@ -16,8 +16,14 @@ from hypothesis import strategies as st
 from rpgd_ros.core import InputError
 from rpgd_ros.core.geometry import IntArray
 from rpgd_ros.io.rig import Rig, parse_rig
-from rpgd_ros.messages import POSE_STAMPED, TF_MESSAGE, decode_parts
-from rpgd_ros.pairing import BufferConfig
+from rpgd_ros.messages import (
+    POINT_CLOUD2,
+    POSE_STAMPED,
+    TF_MESSAGE,
+    decode_parts,
+    encode_point_cloud2,
+)
+from rpgd_ros.pairing import BufferConfig, SyncConfig
 from rpgd_ros.session import MOCAP, Session, SessionConfig
 from rpgd_ros.session.gather import GAP_NS, MAX_PARTS, gather
 
@@ -313,6 +319,20 @@ def test_a_bag_that_loops_starts_over() -> None:
     assert not np.isnan(joints[5:]).any()
 
 
+def test_a_camera_whose_clock_jumps_back_ends_the_skeletons_of_before() -> None:
+    """Parts and cameras are of one epoch, whichever of them tells of the new one."""
+    session = fed([segment(i + 4000, j) for i in range(N_FRAMES) for j in range(len(JOINTS))])
+    assert len(skeletons(session)[0]) == N_FRAMES
+    for i in [*range(4000, 4009), *range(9)]:
+        payload = encode_point_cloud2(STAMP_NS + i * FRAME_NS, 'cam0', np.ones((17, 2)), None)
+        session.add('cam0', POINT_CLOUD2, [payload], [i + 1])
+    assert session.n_epochs == 1
+    assert len(skeletons(session)[0]) == 0
+    for stream, payload in walk():
+        session.add(stream, POSE_STAMPED, [payload], [1])
+    np.testing.assert_array_equal(skeletons(session)[1], whole())
+
+
 def test_the_store_of_parts_is_bounded_and_can_be_emptied() -> None:
     """By the same numbers as that of whole skeletons."""
     config = SessionConfig(buffer=BufferConfig(max_frames=10))
@@ -342,6 +362,15 @@ def test_units_and_receive_time_hold_for_parts_too() -> None:
     np.testing.assert_allclose(skeletons(session)[1], whole() / 1000.0)
     messages = [segment(i, 0, late_ns=-STAMP_NS - i * FRAME_NS) for i in range(9)]
     assert fed(messages).counts(MOCAP)['zero_stamp'] == 9
+    config = SessionConfig(sync=SyncConfig(use_receive_time=True))
+    session = Session(rig(SEGMENTS), config)
+    for i in range(9):
+        for j in range(len(JOINTS)):
+            stream, payload = segment(i, j, late_ns=-STAMP_NS - i * FRAME_NS - j * 60_000)
+            session.add(stream, POSE_STAMPED, [payload], [STAMP_NS + i * FRAME_NS])
+    stamp_ns, joints = skeletons(session)
+    assert stamp_ns.tolist() == [STAMP_NS + i * FRAME_NS for i in range(9)]
+    np.testing.assert_array_equal(joints, whole(9))
 
 
 @pytest.mark.parametrize(

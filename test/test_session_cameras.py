@@ -139,6 +139,26 @@ def test_changed_intrinsics_start_the_camera_over(studio: Studio) -> None:
     assert session.snapshot().cameras[0].matrix[0, 0] == pytest.approx(990.0)
 
 
+def test_what_changed_in_a_camera_info_is_said(studio: Studio) -> None:
+    """Size and frame with both values; what has no short figure by its kind."""
+    rig = with_camera(studio.rig, 0, camera=None, camera_info_topic='i')
+    session = Session(rig)
+    camera = studio.rig.cameras[0].camera
+    assert camera is not None
+    halved = replace(camera, size=(640, 360))
+    bent = replace(halved, distortion=np.array([0.1, 0.0, 0.0, 0.0, 0.0]))
+    told = []
+    for sent, frame in ((camera, 'a'), (halved, 'a'), (halved, 'b'), (bent, 'b')):
+        feed(session, studio.of('cam0')[:9])
+        told.append(session.set_intrinsics('cam0', encode_camera_info(sent, 1, frame)))
+    assert [text.partition('; ')[0] for text in told] == [
+        '',
+        'camera cam0: its CameraInfo changed (size 1280 x 720 to 640 x 360)',
+        "camera cam0: its CameraInfo changed (frame 'a' to 'b')",
+        'camera cam0: its CameraInfo changed (distortion or rectification)',
+    ]
+
+
 def test_intrinsics_of_the_rig_file_go_before_camera_info(studio: Studio) -> None:
     """A driver's default CameraInfo does not overrule what the user wrote."""
     session = feed(Session(studio.rig), studio.messages, together=500)

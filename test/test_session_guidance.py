@@ -15,8 +15,15 @@ from walks import Reel, play, walk
 from rpgd_ros.core import CalibrationConfig, CalibrationError, RigidTransform, calibrate
 from rpgd_ros.core.config import AcceptConfig
 from rpgd_ros.core.geometry import so3_exp
+from rpgd_ros.core.linearise import Sight
+from rpgd_ros.core.observations import NS_PER_S, View
 from rpgd_ros.session import Session, solve
-from rpgd_ros.session.coverage import Coverage, ImageCoverage, RoomCoverage
+from rpgd_ros.session.coverage import (
+    MAX_ROOM_CELLS,
+    Coverage,
+    ImageCoverage,
+    RoomCoverage,
+)
 from rpgd_ros.session.expect import Expectation, Expected
 from rpgd_ros.session.guidance import Guidance
 from rpgd_ros.session.monitor import Monitor, appraise
@@ -87,6 +94,23 @@ def test_coverage_forgets_what_has_left_the_buffer() -> None:
     assert kept.image('cam0').n_pairs < 0.85 * everything.image('cam0').n_pairs
 
 
+def test_bodies_scattered_over_everywhere_do_not_fill_the_memory() -> None:
+    """Damaged skeletons may stand anywhere: the floor is counted to a bound."""
+    reel = Reel(walk(4, seconds=1.0))
+    (new, *_) = reel.pairs(0.0, 1.0)
+    n_places = MAX_ROOM_CELLS + 10
+    coverage = Coverage(300.0)
+    coverage.add([])
+    assert coverage.room().area_m2 == 0.0
+    x = np.zeros((n_places, 1, 3))
+    x[:, 0, 0] = np.arange(n_places)
+    for by in (0.0, 1e5):
+        there = View(np.arange(n_places) + 10**12, x + by, np.full((n_places, 1, 2), 9.0))
+        coverage.add([replace(new, view=there)])
+    assert coverage.room().extent_m[0] == pytest.approx(n_places, abs=1.0)
+    assert coverage.image(new.camera.name).n_pairs == 2 * n_places
+
+
 @pytest.mark.parametrize('side', ['left', 'right'])
 def test_poorest_side_is_where_nobody_was(side: str) -> None:
     """Keypoints in one half of an image only."""
@@ -137,6 +161,46 @@ def test_pose_that_explains_nothing_has_no_expected_sigma() -> None:
     assert not expectation.expected().is_known
 
 
+def test_pose_with_the_body_behind_the_camera_has_no_expected_sigma() -> None:
+    """No keypoint tells how exact it is."""
+    (sight, *_) = Reel(walk(6, seconds=8.0)).sights(0.0, 8.0)
+    behind = RigidTransform(np.eye(3), np.array([0.0, 0.0, -1000.0]))
+    expectation = Expectation(sight.camera_T_world.inverse() @ behind, np.zeros(3))
+    expectation.add_sights([sight])
+    assert not expectation.expected().is_known
+
+
+def test_long_recording_is_known_as_well_as_a_short_one_of_the_same_frames() -> None:
+    """Stretches of time are joined, and none lost: here an error that comes and goes tells most."""
+    recording = walk(5, seconds=24.0)
+    steady, wavering, slow = (
+        Expectation(recording.truth.world_T_mocap, np.zeros(3)) for _ in range(3)
+    )
+    for s in Reel(recording).sights(0.0, 24.0):
+        stamp_ns = s.view.known_stamp_ns
+        wave_px = 6.0 * np.sin(0.5 * (stamp_ns - stamp_ns[0]) / NS_PER_S)
+        view = replace(s.view, uv=s.view.uv + wave_px[:, None, None])
+        steady.add_sights([s])
+        wavering.add_sights([Sight(s.camera, view)])
+        slow.add_sights([Sight(s.camera, replace(view, stamp_ns=8 * stamp_ns))])
+    told, expected = wavering.expected(), slow.expected()
+    assert told.sigma_deg > 2.0 * steady.expected().sigma_deg
+    assert expected.sigma_deg == pytest.approx(told.sigma_deg, rel=0.1)
+    assert expected.sigma_m == pytest.approx(told.sigma_m, rel=0.1)
+
+
+def test_sigma_of_a_run_without_data_is_not_taken_over() -> None:
+    """There is nothing that it could be compared with."""
+    recording = walk(6, seconds=8.0)
+    told, untold = (Expectation(recording.truth.world_T_mocap, np.zeros(3)) for _ in range(2))
+    told.settle(0.1, 0.01)
+    assert not told.expected().is_known
+    for expectation in (told, untold):
+        expectation.add_sights(Reel(recording).sights(0.0, 8.0))
+    assert untold.expected().is_known
+    assert told.expected() == untold.expected()
+
+
 def guide(**changes: Any) -> Guidance:
     """Return what is known after 41 s of which cam2 has seen little."""
     half_seen = np.zeros((9, 16), np.bool_)
@@ -176,6 +240,16 @@ def test_time_that_is_asked_for_follows_from_how_exact_it_is() -> None:
     done = guide(expected=Expected(0.2, 0.01))
     assert done.sentence.startswith('41 s are enough; known to 0.20 deg')
     assert done.progress == 1.0
+
+
+def test_where_all_images_are_full_the_person_is_to_turn() -> None:
+    """More of the same walk would not help; an image that was seen evenly has no poorer side."""
+    full = np.ones((9, 16), np.bool_)
+    images = (ImageCoverage('cam0', full, 9000), ImageCoverage('cam1', full, 9000))
+    assert [image.poorest_side for image in images] == ['', '']
+    assert guide(images=images).advice == (
+        'turn around and cross the room, it was walked over 3.0 x 1.5 m so far'
+    )
 
 
 def test_first_of_all_the_person_has_to_move() -> None:

@@ -121,6 +121,15 @@ def test_clocks_that_never_meet_are_named_with_their_distance() -> None:
     assert refused.value.reason is Reason.NO_DATA
 
 
+def test_camera_that_sent_nothing_has_no_distance_in_time() -> None:
+    """Of two whose clocks were to be compared, one is silent."""
+    studio = make_studio(2, late_ns=-100 * S)
+    messages = studio.of(MOCAP) + studio.of('cam1')
+    session = feed(Session(studio.rig), messages, together=1000)
+    with pytest.raises(CalibrationError, match=r'skeleton: cam1 88\.0\d\d s\. Sync'):
+        session.snapshot()
+
+
 def test_skeletons_in_the_world_frame_are_refused(studio: Studio) -> None:
     """A driver that calls its root like the rig's world: no transform could be published."""
     rig = replace(studio.rig, world_frame='vicon')

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,13 @@ from studio import feed, make_studio, without_poses
 
 from rpgd_ros.core import InputError, Reason
 from rpgd_ros.session import Session, Snapshot, solve
-from rpgd_ros.session.snapshot_file import read_snapshot, remove_snapshot, write_snapshot
+from rpgd_ros.session.snapshot_file import (
+    HEAD,
+    SCHEMA,
+    read_snapshot,
+    remove_snapshot,
+    write_snapshot,
+)
 
 
 @pytest.fixture(scope='module')
@@ -56,6 +63,35 @@ def test_other_files_are_refused(tmp_path: Path, data: bytes) -> None:
     with pytest.raises(InputError, match='no file of observations') as refused:
         read_snapshot(path)
     assert refused.value.reason is Reason.BAD_RESULT_FILE
+
+
+def test_file_of_a_later_version_is_refused_by_its_schema(
+    snapshot: Snapshot, tmp_path: Path
+) -> None:
+    """The message says which schemas there are, and nothing is guessed."""
+    path = tmp_path / 'result.npz'
+    write_snapshot(path, snapshot)
+    with np.load(path) as file:
+        arrays = dict(file)
+    head = json.loads(str(arrays[HEAD]))
+    head['schema'] = SCHEMA + 1
+    arrays[HEAD] = np.array(json.dumps(head))
+    np.savez(path, **arrays)
+    with pytest.raises(
+        InputError, match=f'schema {SCHEMA + 1} is unknown, .* {SCHEMA}$'
+    ) as refused:
+        read_snapshot(path)
+    assert refused.value.reason is Reason.BAD_RESULT_FILE
+
+
+def test_folder_in_the_place_of_the_file_is_not_removed(tmp_path: Path) -> None:
+    """The message tells the path, and why."""
+    path = tmp_path / 'result.npz'
+    path.mkdir()
+    with pytest.raises(InputError, match=r'result\.npz cannot be removed: ') as refused:
+        remove_snapshot(path)
+    assert refused.value.reason is Reason.NOT_WRITABLE
+    assert path.is_dir()
 
 
 def test_file_of_another_result_can_be_removed_twice(tmp_path: Path) -> None:

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from walks import Reel, walk
 
 from rpgd_ros.core.geometry import RigidTransform
-from rpgd_ros.session.levels import Level, agreed, levels
+from rpgd_ros.core.linearise import Sight
+from rpgd_ros.session.levels import MIN_FRAMES, Level, agreed, levels
+from rpgd_ros.session.recent import Pairs
 from rpgd_ros.session.watch import Watch
 from rpgd_ros.simulation import Faults
 
@@ -199,3 +203,99 @@ def test_kept_level_finds_a_bump_as_well() -> None:
     for _, pairs in reel.ticks(0.0, 10.0):
         watch.add(pairs)
     assert watch.raised == ('cam3',)
+
+
+def later(pairs: list[Pairs], seconds: float) -> list[Pairs]:
+    """Return the same frames at a later time."""
+    by_ns = round(seconds * 1e9)
+    return [
+        replace(new, view=replace(new.view, stamp_ns=new.view.known_stamp_ns + by_ns))
+        for new in pairs
+    ]
+
+
+@pytest.fixture(scope='module')
+def bumped() -> tuple[Reel, RigidTransform]:
+    """Return sixteen seconds, of which the first camera was bumped after ten."""
+    recording = walk(1, seconds=16.0)
+    reel = Reel(recording)
+    reel.bump(0, 0.6 * TURN, at_s=ACCEPTED_S)
+    return reel, recording.truth.world_T_mocap
+
+
+def test_camera_that_comes_back_after_long_is_judged_afresh(
+    bumped: tuple[Reel, RigidTransform],
+) -> None:
+    """A second over the limit, and one half a minute later, are not half a minute."""
+    reel, pose = bumped
+    watch = watched(reel, pose)
+    for _, pairs in reel.ticks(10.0, 11.5):
+        watch.add(pairs)
+    for _, pairs in reel.ticks(11.5, 13.0):
+        watch.add(later(pairs, 30.0))
+    assert 'cam0' not in watch.raised
+    for _, pairs in reel.ticks(13.0, 15.0):
+        watch.add(later(pairs, 30.0))
+    assert watch.raised == ('cam0',)
+
+
+def test_raised_camera_that_sees_nobody_is_said_to_see_nobody(
+    bumped: tuple[Reel, RigidTransform],
+) -> None:
+    """Its old error is not that of now."""
+    reel, pose = bumped
+    watch = watched(reel, pose)
+    for _, pairs in reel.ticks(10.0, 15.0):
+        watch.add(pairs)
+    assert 'is off by' in watch.complaint()
+    watch.restart()
+    assert watch.complaint() == 'camera cam0 no longer fits the transform, and sees nobody now'
+
+
+def test_camera_that_was_not_there_at_acceptance_is_shown_but_not_judged(
+    bumped: tuple[Reel, RigidTransform],
+) -> None:
+    """There is nothing to compare its error with."""
+    reel, pose = bumped
+    watch = Watch()
+    known = levels(reel.sights(0.0, ACCEPTED_S), pose)
+    del known['cam0']
+    watch.accept(pose, known, is_automatic=False)
+    for _, pairs in reel.ticks(10.0, 16.0):
+        watch.add(pairs)
+    state = watch.states()['cam0']
+    assert state.error_px > 3.0 * watch.states()['cam1'].error_px
+    assert np.isnan(state.level_px)
+    assert watch.raised == ()
+
+
+def test_too_little_seen_is_not_judged(bumped: tuple[Reel, RigidTransform]) -> None:
+    """Some frames, nobody in them, or a camera of which nobody knows where it stands."""
+    reel, pose = bumped
+    watch = watched(reel, pose)
+    (new,) = (p for p in reel.pairs(10.0, 10.2) if p.camera.name == 'cam0')
+    assert new.view.n_frames < MIN_FRAMES
+    nobody = replace(new.view, uv=np.full_like(new.view.uv, np.nan))
+    unplaced = replace(new.camera, camera_T_world=None)
+    watch.add([replace(new, view=nobody), replace(new, camera=unplaced)])
+    assert watch.states() == {}
+    watch.add([new])
+    assert np.isnan(watch.states()['cam0'].error_px)
+    assert levels([Sight(new.camera, new.view)], pose) == {}
+
+
+def test_joints_that_are_seen_in_turn_tell_of_no_lasting_offset(
+    bumped: tuple[Reel, RigidTransform],
+) -> None:
+    """A median over joints that are hardly ever there would be one of noise."""
+    reel, pose = bumped
+    (sight, *_) = reel.sights(0.0, 3.0)
+    assert levels([sight], pose)['cam0'].bias_px > 0.0
+    n_frames, n_joints = sight.view.uv.shape[:2]
+    uv = np.full_like(sight.view.uv, np.nan)
+    for frame in range(0, n_frames, 8):
+        shown = (frame // 8 * 3 + np.arange(3)) % n_joints
+        uv[frame, shown] = sight.view.uv[frame, shown]
+    level = levels([Sight(sight.camera, replace(sight.view, uv=uv))], pose)['cam0']
+    assert level.error_px > 0.0
+    assert level.bias_px == 0.0
