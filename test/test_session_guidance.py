@@ -171,7 +171,7 @@ def test_pose_with_the_body_behind_the_camera_has_no_expected_sigma() -> None:
 
 
 def test_long_recording_is_known_as_well_as_a_short_one_of_the_same_frames() -> None:
-    """Stretches of time are joined, and none lost: here an error that comes and goes tells most."""
+    """Stretches of time are joined and none is lost, which shows where an error wavers."""
     recording = walk(5, seconds=24.0)
     steady, wavering, slow = (
         Expectation(recording.truth.world_T_mocap, np.zeros(3)) for _ in range(3)
