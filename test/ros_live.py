@@ -77,9 +77,11 @@ class Live:
 
     def latched(self, topic: str, msg_type: type) -> Any:
         """Return the newest message of a latched topic of the node."""
-        self.peer.listen(f'{NODE}/{topic}', msg_type)
-        self.wait_until(f'no {topic}', lambda: self.peer.newest(f'{NODE}/{topic}') is not None)
-        return self.peer.newest(f'{NODE}/{topic}')
+        name = f'{NODE}/{topic}'
+        if self.peer.newest(name) is None:
+            self.peer.listen(name, msg_type)
+            self.wait_until(f'no {topic}', lambda: self.peer.newest(name) is not None)
+        return self.peer.newest(name)
 
 
 def slow(n_steps: int = MINUTES) -> tuple[str, ...]:
