@@ -36,7 +36,7 @@ def rms(values: list[float]) -> float:
 def test_misplaced_joints_cost_less_once_they_are_estimated(frames: int, frame: str) -> None:
     """2 cm per axis. What all joints share along the vertical nobody can see: it is left out."""
     plain, mended = [], []
-    for seed in range(4):
+    for seed in range(4 if frames == 300 else 2):  # the longer, the less by chance
         case = scenes.scene(frames=frames, seed=seed, bias_m=0.02, bias_frame=frame)
         plain.append(level_error_m(case, solved(case, CalibrationConfig())[0]))
         found, _ = solved(case)
