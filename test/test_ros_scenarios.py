@@ -17,7 +17,8 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from rpgd_ros.io.result_file import read_result
-from rpgd_ros.ros.client import NODE
+from rpgd_ros.io.rig import read_rig
+from rpgd_ros.ros.client import NODE, CalibratorClient
 from rpgd_ros.ros.domain import free_domain
 from rpgd_ros.ros.player import Peer, Timed
 from rpgd_ros.ros.transforms import time_message
@@ -199,13 +200,35 @@ def test_two_rigs_live_in_one_domain(walk: Scene, rig: Path, tmp_path: Path) -> 
         live(other_rig, namespace='/lab', domain=domain) as lab,
     ):
         hall.advertise(walk.topics)
-        hall.peer.play(walk.messages, rate=8.0)
-        # Both publish /diagnostics under the same names: the services tell them apart.
-        hall.wait_until('not calibrated', lambda: hall.calibrate()[0])
+        # Both publish /diagnostics, and say whose each entry is.
+        sent = hall.send(walk.messages)
+        lab.wait_until('silent', lambda: lab.peer.diagnostics('mocap'))
+        assert (hall.received(), sum(lab.received().values())) == (sent, 0)
+        assert hall.calibrate()[0]
         success, answer = lab.calibrate()
         assert (success, answer['reason']) == (False, 'no_data')
         assert hall.latched('transform', TransformStamped).child_frame_id == 'mocap'
         assert lab.peer.newest(f'{NODE}/transform') is None
+
+
+def test_rigs_in_namespaces_keep_their_results_apart(walk: Scene, tmp_path: Path) -> None:
+    """Nodes of one name would overwrite each other's file, and start with the wrong transform."""
+    domain = free_domain()
+    arguments = [*CALIBRATOR, '--ros-args', '-p', f'rig_file:={walk.rig}', '-r', '__ns:=/hall']
+    with (
+        running(arguments, ros_environment(domain, HOME=str(tmp_path))) as child,
+        Peer('studio', domain_id=domain, namespace='/hall') as peer,
+    ):
+        client = CalibratorClient(peer, read_rig(walk.rig))
+        peer.advertise(walk.topics)
+        assert peer.wait_until(lambda: not peer.without_subscriber(), seconds=WAIT_S)
+        sent = peer.play(walk.messages, rate=8.0)
+        assert peer.wait_until(lambda: client.received() == sent, seconds=WAIT_S), child.output
+        called = client.calibrate(seconds=WAIT_S)
+        assert called is not None
+        assert called[0], called[1]
+    assert {p.parent for p in tmp_path.rglob('*.yaml')} == {tmp_path / '.ros/rpgd/hall'}
+    assert_close(read_result(tmp_path / f'.ros/rpgd/hall/{NODE}.yaml').world_T_mocap, walk)
 
 
 def test_topics_can_be_remapped(walk: Scene, rig: Path) -> None:

@@ -18,7 +18,7 @@ NODE = 'rpgd_calibrator'
 # Handed on to the node as parameters where they are given.
 PARAMETERS = {
     'rig_file': 'Path of the rig file: cameras, joints, topics. Always needed',
-    'result_file': 'Where results are kept; empty = ~/.ros/rpgd/<node name>.yaml',
+    'result_file': 'Where results are kept; empty = ~/.ros/rpgd/<namespace>/<node name>.yaml',
     'world_frame': 'Parent frame of the transform; empty = the one of the rig file',
     'mocap_frame': 'Child frame of the transform; empty = rig file, or messages',
     'tf_mode': 'static: publish /tf_static; none: leave TF alone',

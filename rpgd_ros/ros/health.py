@@ -23,7 +23,20 @@ OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
 ERROR = DiagnosticStatus.ERROR
 
-PREFIX = 'rpgd_calibrator: '
+WHO = 'rpgd_calibrator'
+
+
+def who(namespace: str) -> str:
+    """Return whose entries they are: all rigs, each in its namespace, share one /diagnostics."""
+    return f'{namespace}/{WHO}'.lstrip('/')
+
+
+def sign(statuses: Sequence[DiagnosticStatus], namespace: str) -> Sequence[DiagnosticStatus]:
+    """Say in each entry whose it is; returns them."""
+    for entry in statuses:
+        entry.hardware_id = who(namespace)
+        entry.name = f'{entry.hardware_id}: {entry.name}'
+    return statuses
 
 
 def status(
@@ -32,15 +45,14 @@ def status(
     """Return one entry of /diagnostics.
 
     Args:
-        name: What is spoken of; `PREFIX` goes before it.
+        name: What is spoken of; `sign` puts before it of whom.
         level: OK, WARN or ERROR.
         message: Sentence.
         values: Figures by key.
 
     """
     return DiagnosticStatus(
-        name=PREFIX + name,
-        hardware_id='rpgd_calibrator',
+        name=name,
         level=level,
         message=message,
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],

@@ -238,19 +238,18 @@ class CalibratorNode(Node):
         config = self._live.config
         guidance = self._monitor.guidance(config.accept, config.buffer.min_motion)
         complaint = self._monitor.watch.complaint()
-        array = DiagnosticArray(
-            status=[
-                health.calibration_status(
-                    engine.last,
-                    engine.results.accepted,
-                    age_s=age_s,
-                    n_errors=engine.n_errors,
-                    guidance=guidance,
-                    complaint=complaint,
-                ),
-                *health.input_statuses(engine.session, inputs, self._monitor),
-            ]
-        )
+        statuses = [
+            health.calibration_status(
+                engine.last,
+                engine.results.accepted,
+                age_s=age_s,
+                n_errors=engine.n_errors,
+                guidance=guidance,
+                complaint=complaint,
+            ),
+            *health.input_statuses(engine.session, inputs, self._monitor),
+        ]
+        array = DiagnosticArray(status=health.sign(statuses, self.get_namespace()))
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
         sentence = health.sentence(

@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.messages import CAMERA_INFO
-from rpgd_ros.ros.health import PREFIX
+from rpgd_ros.ros.health import who
 from rpgd_ros.ros.message_classes import OWN
 from rpgd_ros.ros.parameters import listed, shown
 from rpgd_ros.ros.transforms import LATCHED
@@ -197,17 +197,17 @@ class Peer:
 
     def diagnostics(self, name: str) -> dict[str, str]:
         """Return the newest figures of one entry of /diagnostics, {} before the first."""
-        status = self._newest.get(PREFIX + name)
+        status = self._entry(name)
         return {pair.key: pair.value for pair in status.values} if status else {}
 
     def message(self, name: str) -> str:
         """Return the newest sentence of one entry of /diagnostics, '' before the first."""
-        status = self._newest.get(PREFIX + name)
+        status = self._entry(name)
         return str(status.message) if status else ''
 
     def level(self, name: str) -> bytes:
         """Return the newest level of one entry of /diagnostics, b'' before the first."""
-        status = self._newest.get(PREFIX + name)
+        status = self._entry(name)
         return bytes(status.level) if status else b''
 
     def call(self, service: str, *, seconds: float) -> Trigger.Response | None:
@@ -247,6 +247,9 @@ class Peer:
         if not self.wait_until(client.service_is_ready, seconds=seconds):
             return None
         return client.call_async(srv_type.Request() if request is None else request)
+
+    def _entry(self, name: str) -> Any:
+        return self._newest.get(f'{who(self.node.get_namespace())}: {name}')
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         self._newest.update({status.name: status for status in array.status})

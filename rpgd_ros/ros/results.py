@@ -78,10 +78,11 @@ class Results:
             node: The node.
             output: Where poses go.
             world_frame: Parent frame.
-            result_file: Path of the result file; '' = the default for this node's name.
+            result_file: Path of the result file; '' = the default for this node.
 
         """
-        default = DEFAULT_FOLDER / f'{node.get_name()}.yaml'
+        # Several rigs run nodes of one name, each in its namespace, and must not share a file.
+        default = DEFAULT_FOLDER / f'{node.get_fully_qualified_name().lstrip("/")}.yaml'
         self.path = (Path(result_file) if result_file else default).expanduser()
         self._node = node
         self._output = output

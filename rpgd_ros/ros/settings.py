@@ -36,7 +36,9 @@ class NodeSettings(Stage):
     tf_mode: Literal['static', 'none'] = setting(
         'static', 'static: publish /tf_static; none: leave TF alone', choices=('static', 'none')
     )
-    result_file: str = setting('', 'Where results are kept; empty = ~/.ros/rpgd/<node name>.yaml')
+    result_file: str = setting(
+        '', 'Where results are kept; empty = ~/.ros/rpgd/<namespace>/<node name>.yaml'
+    )
     load_on_start: bool = setting(default=True, help='Publish the kept result at start')
     zero_is_missing: bool = setting(
         default=True,
