@@ -19,7 +19,7 @@ FULL_NAME = f'/{NODE}'
 COMMANDS = [c for c in all_commands() if c.program == 'ros2']
 VERBS = {
     'bag record', 'bag play', 'launch rpgd_ros', 'node info', 'param describe', 'param dump',
-    'param set', 'run rpgd_ros', 'service call', 'topic echo', 'topic hz', 'topic list',
+    'param load', 'param set', 'run rpgd_ros', 'service call', 'topic echo', 'topic hz', 'topic list',
 }  # fmt: skip
 
 
@@ -81,6 +81,12 @@ def test_topics_that_are_listened_to_exist(graph: dict[str, dict[str, str]]) -> 
             assert set(named) <= graph['topic'].keys(), command.words
 
 
+def test_latched_topics_are_echoed_without_options_of_qos() -> None:
+    """With any of them `topic echo` is best effort, and hears nothing published before."""
+    for command in of_verb('topic echo'):
+        assert not [w for w in command.words if w.startswith('--qos')], command.words
+
+
 def test_services_that_are_called_exist_with_their_type(graph: dict[str, dict[str, str]]) -> None:
     """Name and type as the node serves them."""
     for command in of_verb('service call'):
@@ -90,7 +96,7 @@ def test_services_that_are_called_exist_with_their_type(graph: dict[str, dict[st
 
 def test_node_that_is_asked_about_is_the_node() -> None:
     """`node info` and `param ...` name it."""
-    for verb in ('node info', 'param describe', 'param dump', 'param set'):
+    for verb in ('node info', 'param describe', 'param dump', 'param load', 'param set'):
         for command in of_verb(verb):
             assert arguments(command)[0] == FULL_NAME, command.words
 
