@@ -40,6 +40,20 @@ def test_an_interrupted_recording_leaves_nothing(tmp_path: Path, error: BaseExce
     assert list((tmp_path / 'deep').iterdir()) == []
 
 
+def test_an_interrupt_while_the_files_are_opened_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is passed on as it came, and the hidden folder is gone."""
+
+    def interrupt(_writer: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('rpgd_ros.io.bag_writer.Writer.open', interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_bag(tmp_path / 'walk', walk())
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     """The name may be of a recording of last week."""
     path = write_bag(tmp_path / 'walk', walk())
@@ -65,13 +79,16 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_full_disk_leaves_nothing(tmp_path: Path, storage: str) -> None:
-    """A limit on the size of files stands for the disk."""
+@pytest.mark.parametrize(('limit', 'n_frames'), [(100_000, 5000), (2000, 50), (0, 5)])
+def test_a_full_disk_leaves_nothing(
+    tmp_path: Path, storage: str, limit: int, n_frames: int
+) -> None:
+    """A limit on the size of files stands for the disk: full on the way, at the end, at once."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
     try:
         with pytest.raises(InputError, match='walk cannot be written') as refused:
-            write_bag(tmp_path / 'walk', walk(5000), storage=storage)
+            write_bag(tmp_path / 'walk', walk(n_frames), storage=storage)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert refused.value.reason is Reason.NOT_WRITABLE

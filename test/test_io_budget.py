@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -34,7 +35,9 @@ from fault_report import Measured
 from harness import REPOSITORY
 from studio import make_rig
 
+from rpgd_ros.core import InputError
 from rpgd_ros.io.bag import open_bag
+from rpgd_ros.io.budget import check_chunks, unpack_file
 from rpgd_ros.io.rig import write_rig
 from rpgd_ros.messages import MAX_MESSAGE_BYTES, POINT_CLOUD2, POSE_ARRAY, encode_pose_array
 
@@ -62,6 +65,13 @@ def with_chunk(path: Path, hostile: bytes) -> Path:
     start = len(MCAP_MAGIC) + len(record(1, text('ros2'), text('by hand')))
     path.write_bytes(good[:start] + hostile + good[start:])
     return path
+
+
+def chunk_info(begin_ns: int, end_ns: int, size: int) -> SimpleNamespace:
+    """Return what an index says of a chunk."""
+    return SimpleNamespace(
+        message_start_time=begin_ns, message_end_time=end_ns, uncompressed_size=size
+    )
 
 
 def with_index(path: Path, n_chunks: int, size: int) -> Path:
@@ -185,6 +195,28 @@ def test_bomb_ends_quickly_and_small(
     assert seconds < MAX_SECONDS
     assert peak_mib < MAX_PEAK_MIB
     assert not list(temporary.iterdir())
+
+
+@pytest.mark.threat('S5')
+def test_index_that_claims_what_no_recorder_writes_is_said(tmp_path: Path) -> None:
+    """More than the file can hold, or too much of one time to be merged in memory."""
+    with pytest.raises(InputError, match='its chunks claim 10485760000 bytes'):
+        open_bag(with_index(tmp_path / 'a.mcap', 10_000, MIB))
+    path = tmp_path / 'large.mcap'
+    path.write_bytes(bytes(MIB))
+    after = [chunk_info(begin, begin, 60 * MIB) for begin in range(3)]
+    check_chunks(path, after)
+    with pytest.raises(InputError, match='3 chunks of the same time are too much at once'):
+        check_chunks(path, [chunk_info(0, 9, 60 * MIB)] * 3)
+
+
+def test_file_that_unfolds_beyond_its_bound_is_said(tmp_path: Path) -> None:
+    """And nothing of it is left on the disk."""
+    packed, target = tmp_path / 'a.zstd', tmp_path / 'a'
+    packed.write_bytes(zstd.compress(bytes(9 * MIB)))
+    with pytest.raises(InputError, match=f'unfolds to more than {4 * MIB} bytes'):
+        unpack_file(packed, target)
+    assert not target.exists()
 
 
 @pytest.mark.threat('S5')

@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import yaml
 from camera_files import camera_info_text, kalibr_text, opencv_text, qualisys_text, toml_text
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,6 +26,13 @@ TEXTS = {
     'opencv': opencv_text(CAMERA),
 }
 
+WITHOUT_LENSES = """
+schema: 1
+world_frame: room
+mocap: {joints: h36m17}
+cameras: [{name: cam0, keypoints: coco17}]
+"""
+
 
 @pytest.mark.parametrize(
     ('kind', 'old', 'new', 'message'),
@@ -33,6 +41,7 @@ TEXTS = {
         ('toml', 'size = [ 1920.0', 'size = [ 1920.5', r'cam_1.size\[0\]: need a whole number'),
         ('toml', 'matrix = [[1145.5, 0.0', 'matrix = [[1145.5, 2.0', r'cam_1.matrix: .*no skew'),
         ('toml', 'matrix = [[1145.5,', 'matrix = [[', r'cam_1.matrix: need a matrix of 3 x 3'),
+        ('toml', 'translation = [', 'translation = [1.0, ', r'translation: need 3 numbers, got 4'),
         ('toml', '[cam_1]', '[cam_1', 'file is not'),
         ('toml', 'matrix = [[1145.5', 'matrix = [[nan', r'cam_1.matrix.* need a finite number'),
         (
@@ -77,6 +86,8 @@ def test_fault_is_named_with_file_and_key(kind: str, old: str, new: str, message
         ('a: 1', 'no known calibration; known are ROS camera_info YAML, Kalibr'),
         ('[1, 2]', 'no known calibration'),
         ('[section]\nkey = 1\n', r'section: matrix is missing|no camera'),
+        ('[metadata]\nkey = 1\n', r'no camera: need tables such as \[cam_1\]'),
+        (WITHOUT_LENSES, 'the rig file gives no intrinsics'),
         ('<a/>', r'need <calibration> .QTM. or <opencv_storage>, got <a>'),
         (
             '<opencv_storage><K/></opencv_storage>',
@@ -92,6 +103,15 @@ def test_text_of_another_kind_is_refused(text: str, message: str) -> None:
     """With the formats that are known, and without running or growing anything."""
     with pytest.raises(InputError, match=message):
         parse_cameras(text, 'file')
+
+
+def test_rotation_of_left_handed_axes_is_refused() -> None:
+    """A mirrored rig would be found nowhere; the message asks for what may be wrong."""
+    tree = yaml.safe_load(TEXTS['kalibr'])
+    first_row = tree['cam1']['T_cn_cnm1'][0]
+    tree['cam1']['T_cn_cnm1'][0] = [-value for value in first_row]
+    with pytest.raises(InputError, match=r'T_cn_cnm1: .* mirror image: are the axes left-handed'):
+        parse_cameras(yaml.safe_dump(tree), 'file')
 
 
 def test_unit_for_a_format_that_has_one_is_refused() -> None:

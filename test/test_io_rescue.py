@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from sqlite3 import connect
 
 import pytest
 from bags import (
@@ -22,6 +24,7 @@ from bags import (
 
 from rpgd_ros.core import InputError
 from rpgd_ros.io.bag import open_bag
+from rpgd_ros.io.rescue import Rescue
 
 Write = Callable[[Path, list[Message]], Path]
 
@@ -86,6 +89,18 @@ def test_a_cut_file_gives_its_first_messages(tmp_path: Path, writer: Write) -> N
         most = max(most, len(got))
     if writer is not chunked:  # all of it is in one chunk of 1 MiB
         assert most > 0.5 * len(messages)
+
+
+def test_messages_of_a_topic_that_is_lost_are_left_out(tmp_path: Path) -> None:
+    """A cut database may name fewer topics than its messages do."""
+    folder = write_humble_bag(tmp_path / 'walk', walk(50))
+    file = storage_file(folder)
+    before = {connection.topic for connection in Rescue(file).connections}
+    with closing(connect(file)) as database, database:
+        database.execute('DELETE FROM topics WHERE name = ?', (SKELETON,))
+    after = {connection.topic for connection in Rescue(file).connections}
+    assert before - after == {SKELETON}
+    assert after
 
 
 @pytest.mark.parametrize('writer', [sqlite3, write_humble_bag])

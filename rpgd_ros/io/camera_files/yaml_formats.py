@@ -104,8 +104,6 @@ def read_kalibr(root: Node, _stem: str) -> tuple[Camera, ...]:
     `T_cn_cnm1` maps the camera before to this one, `T_cam_imu` the IMU to the camera.
     """
     chain = [(name, node) for name, node in root.items() if re.fullmatch(r'cam\d+', name)]
-    if not chain:
-        root.refuse('no camera: need cam0, cam1 and so on')
     poses = _chained_poses(chain)
     return tuple(
         _kalibr_camera(name, node, pose) for (name, node), pose in zip(chain, poses, strict=True)
