@@ -189,6 +189,7 @@ def detection(
     package: str = 'yolo_msgs',
     name: str = 'person',
     n_border: int = 0,
+    n_in_3d: int = 0,
 ) -> Any:
     """Make a yolo Detection of u, v, score by the keypoints' ids."""
 
@@ -204,9 +205,10 @@ def detection(
         msg('KeyPoint2D', i, msg('Point2D', float(u), float(v)), float(score))
         for i, (u, v, score) in keypoints.items()
     ]
+    points_3d = [msg('KeyPoint3D', i, point((1.0, 2.0, 3.0)), 0.5) for i in range(n_in_3d)]
     return msg(
         'Detection', 0, name, 0.9, '1', box, box_3d, mask, msg('KeyPoint2DArray', points),
-        msg('KeyPoint3DArray', [], ''),
+        msg('KeyPoint3DArray', points_3d, ''),
     )  # fmt: skip
 
 

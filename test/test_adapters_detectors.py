@@ -11,6 +11,7 @@ import pytest
 from drivers import STAMP_NS
 
 from rpgd_ros.messages import Decoded, decode
+from rpgd_ros.messages.adapters.detectors import MAX_BODIES
 from rpgd_ros.skeletons import joint_names, landmarks
 
 ARRIVAL_NS = STAMP_NS + 5_000_000
@@ -232,6 +233,26 @@ def test_two_detections_are_two_persons() -> None:
     np.testing.assert_array_equal(values[0, [0, 2]], [[5, 6], [50, 60]])
     assert scores is not None
     np.testing.assert_array_equal(scores[0, [0, 2]], [0.9, 0.8])
+
+
+def test_depths_beside_the_keypoints_are_read_through() -> None:
+    """A depth camera adds them; the next detection begins behind them."""
+    both = [
+        drivers.detection({1: (5, 6, 0.9)}, n_in_3d=17),
+        drivers.detection({2: (7, 8, 0.9)}, n_in_3d=3),
+    ]
+    decoded = read(drivers.detections(both), 'coco17')
+    assert decoded.batch is not None
+    values, _ = decoded.batch.take(np.array([0, 1]))
+    np.testing.assert_array_equal(values[0, [0, 3]], [[5, 6], [7, 8]])
+
+
+def test_crowd_of_a_stadium_is_no_subject() -> None:
+    """64 persons are taken, one more is several persons too many."""
+    rows = np.full((25, 3), 7.0)
+    assert not read(drivers.openpose_list([rows] * MAX_BODIES), 'body25').dropped
+    many = drivers.openpose_list([rows] * (MAX_BODIES + 1))
+    assert read(many, 'body25').dropped == {'several_persons': 1}
 
 
 def test_openpose_says_with_zeros_that_a_joint_is_missing() -> None:

@@ -397,6 +397,13 @@ def test_a_rig_file_that_cannot_be_meant_is_refused(mocap: str, complaint: str) 
         rig(mocap)
 
 
+def test_joint_whose_name_cannot_stand_in_a_topic_is_refused() -> None:
+    """The key of the pattern is named, and the topic that it would make."""
+    text = RIG.format(mocap=f'{SEGMENTS}, joint_map: {{right_knee: R knee}}')
+    with pytest.raises(InputError, match=r"mocap\.topic: 'vicon/bob/R knee' cannot be the topic"):
+        parse_rig(text.replace('RKneeJC', 'R knee'))
+
+
 def test_messages_that_are_no_parts_are_counted() -> None:
     """By reason, as elsewhere."""
     good = segment(0, 0)[1]

@@ -77,6 +77,13 @@ def test_motion_is_what_the_centre_of_the_body_covers() -> None:
     assert Body.of([sight]).motion_m == pytest.approx(0.96 * 3.0, rel=0.02)
 
 
+def test_nobody_seen_has_not_moved() -> None:
+    """There is no way to measure, of no length."""
+    (sight, *_) = sights_of(scene('human36m', 100, 3))
+    blind = replace(sight.view, uv=np.full_like(sight.view.uv, np.nan))
+    assert Body.of([Sight(sight.camera, blind)]).motion_m == 0.0
+
+
 def test_a_motion_that_nobody_saw_does_not_count() -> None:
     """Walking out of view adds nothing."""
     case = scene('kinect', 200, 0)

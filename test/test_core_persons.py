@@ -207,6 +207,28 @@ def test_arrays_make_a_crowd() -> None:
             Crowd.from_arrays(bad_x, bad_uv)
 
 
+def test_candidates_without_time_are_put_one_after_the_other() -> None:
+    """As those of which the time is known, but for the stamps."""
+    x = np.arange(2 * 5 * 4 * 3, dtype=np.float64).reshape(5, 2, 4, 3)
+    uv = np.arange(5 * 3 * 4 * 2, dtype=np.float64).reshape(1, 5, 3, 4, 2)
+    picks = [np.array([[0, 1]] * 5)]
+    timed = assemble(Crowd.from_arrays(x, uv, fps=10.0), picks)
+    untimed = assemble(Crowd.from_arrays(x, uv), picks)
+    assert timed.mocap is not None
+    assert untimed.mocap is None
+    assert untimed.views[0].stamp_ns is None
+    assert np.array_equal(untimed.views[0].x_mocap, timed.views[0].x_mocap)
+    assert np.array_equal(untimed.views[0].uv, timed.views[0].uv)
+
+
+def test_cameras_of_other_skeletons_are_no_crowd() -> None:
+    """Views need the skeletons and joints of each other."""
+    one = CrowdView(None, np.zeros((5, 2, 4, 3)), np.zeros((5, 3, 4, 2)))
+    for shape in ((5, 1, 4, 3), (5, 2, 3, 3), (6, 2, 4, 3), (5, 2, 4)):
+        with pytest.raises(InputError, match=r'view 1 has skeletons .* of the other views'):
+            Crowd((one, replace(one, x_mocap=np.zeros(shape))))
+
+
 def test_nobody_in_view_is_said() -> None:
     """Not one detection."""
     recording = film('kinect', 0, seconds=2.0)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rosbags.serde import SerdeError
 
+from rpgd_ros.core import InputError, Reason
 from rpgd_ros.messages import (
     JOINT_TYPES,
     MAX_MESSAGE_BYTES,
@@ -20,7 +22,9 @@ from rpgd_ros.messages import (
     POSE_ARRAY,
     Decoded,
     Drop,
+    decode_camera_info,
     decode_joints,
+    decode_tf,
     encode_point_cloud2,
     encode_pose_array,
 )
@@ -187,6 +191,15 @@ def test_a_cut_message_is_refused_by_both(cut: int) -> None:
     assert decode([GOOD_CLOUD[:cut]]).dropped == {'malformed': 1}
     with pytest.raises(SerdeError):
         peers.read(GOOD_CLOUD[:cut], POINT_CLOUD2)
+
+
+@pytest.mark.threat('S8')
+@pytest.mark.parametrize('read', [decode_camera_info, decode_tf])
+def test_long_messages_of_facts_are_refused_by_their_length(read: Callable[[bytes], Any]) -> None:
+    """A CameraInfo, or a tree of frames, of more than a quarter of a megabyte."""
+    with pytest.raises(InputError, match=f'{MAX_MESSAGE_BYTES + 1} bytes, at most') as refused:
+        read(b'\x00\x01\x00\x00' + bytes(MAX_MESSAGE_BYTES - 3))
+    assert refused.value.reason is Reason.BAD_MESSAGE
 
 
 @pytest.mark.threat('S8')

@@ -182,3 +182,16 @@ def test_nobody_has_no_track(n_persons: int) -> None:
     """Messages without one joint."""
     stamps = START + 10 * MS * np.arange(5)
     assert follow(Persons(stamps, np.full((5, n_persons, J, 3), np.nan), None)) == []
+
+
+def test_person_who_left_long_ago_makes_no_crowd() -> None:
+    """Nobody has to be picked among those whose frames are forgotten."""
+    stamps, values = crowd(40, [2])
+    store = stream(max_frames=10)
+    store.add(stamps[:20], np.stack(values[:20]), None)
+    assert store.lend_persons() is not None
+    alone = np.stack(values[20:])
+    alone[:, J:] = np.nan
+    store.add(stamps[20:], alone, None)
+    assert store.lend_persons() is None
+    np.testing.assert_array_equal(store.arrays().values, alone[-10:, :J])

@@ -78,9 +78,7 @@ class Cursor(CdrReader):
             CdrError: The message ends before.
 
         """
-        n = self.u32()
-        if n:
-            self.skip(size, per_element * n)
+        self.skip(size, per_element * self.u32())
 
     def _refuse(self, n_bytes: int) -> NoReturn:
         msg = f'{n_bytes} bytes up to {self.position} reach beyond the {self._size} bytes'
