@@ -19,7 +19,8 @@ FULL_NAME = f'/{NODE}'
 COMMANDS = [c for c in all_commands() if c.program == 'ros2']
 VERBS = {
     'bag record', 'bag play', 'launch rpgd_ros', 'node info', 'param describe', 'param dump',
-    'param load', 'param set', 'run rpgd_ros', 'service call', 'topic echo', 'topic hz', 'topic list',
+    'param load', 'param set', 'run rpgd_ros', 'service call', 'topic echo', 'topic hz',
+    'topic list',
 }  # fmt: skip
 
 
