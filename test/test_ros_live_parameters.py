@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import signal
-from pathlib import Path
 from typing import Any
 
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterDescriptor, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
-from ros_live import WAIT_S, Live, live, slow
+from ros_live import WAIT_S, Live, live
 from ros_scene import Scene
 
 from rpgd_ros.ros.client import NODE
@@ -113,19 +112,3 @@ def test_every_parameter_is_described(node: Live) -> None:
     assert iterations.integer_range[0].from_value == 1
     assert rig_file.read_only
     assert not sigma.read_only
-
-
-@pytest.mark.fault(19)
-def test_parameters_are_answered_while_a_calibration_runs(walk: Scene, tmp_path: Path) -> None:
-    """A run of seconds does not stop the executor's thread; it keeps its own settings."""
-    rig = tmp_path / 'rig.yaml'
-    rig.write_bytes(walk.rig.read_bytes())
-    with live(rig, *slow(), 'max_seconds:=6.0') as running:
-        running.play(walk)
-        called = running.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
-        assert called is not None
-        running.wait_until('not running', lambda: 'Calibrating' in running.sentence())
-        for n in range(20):
-            assert set_to(running, 'accept.min_pairs', integer(60 + n)) == ''
-        assert not called.done()
-        running.wait_until('no answer', called.done)
