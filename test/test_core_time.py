@@ -73,6 +73,16 @@ def test_one_common_offset_is_better_known_than_one_per_camera() -> None:
         assert sigma < each[name][1]
 
 
+@pytest.mark.fault(14)
+def test_one_common_offset_of_most_of_a_second_is_found() -> None:
+    """Too far for a descent: each camera is searched, and they agree on one."""
+    case = scenes.scene(frames=400, seed=1, lag_s=0.8)
+    common = replace(TIMED, time=TimeConfig(estimate_offset='common'))
+    found = calibrate(case.cameras, case.observations, config=common).time_offset_s
+    assert len({offset for offset, _ in found.values()}) == 1
+    assert next(iter(found.values()))[0] == pytest.approx(0.8, abs=2e-3)
+
+
 def test_what_is_not_known_of_the_clocks_is_not_known_of_the_pose() -> None:
     """The covariance grows by what the offsets leave open."""
     case = scenes.scene(frames=300, seed=3)

@@ -57,10 +57,9 @@ def setting(default: T, help: str, **keywords: Any) -> T:  # noqa: A002
 
 
 def settings_of(stage: object) -> Iterator[tuple[Field[Any], Setting]]:
-    """Yield the fields of a stage (class or instance) that carry a `Setting`."""
+    """Yield the fields of a stage (class or instance), each with its `Setting`."""
     for f in fields(cast('Any', stage)):
-        if 'setting' in f.metadata:
-            yield f, f.metadata['setting']
+        yield f, f.metadata['setting']
 
 
 class Stage:
