@@ -86,7 +86,7 @@ def test_every_message_is_counted_under_one_reason(studio: Studio) -> None:
 def test_empty_session_names_what_is_silent(studio: Studio) -> None:
     """Each silent stream with its topic, and what became of its messages."""
     session = Session(studio.rig)
-    with pytest.raises(CalibrationError, match=r'mocap \(mocap/skeleton; 0 received') as refused:
+    with pytest.raises(CalibrationError, match=r'mocap \(mocap/skeleton; 0 received\)') as refused:
         session.snapshot()
     assert refused.value.reason is Reason.NO_DATA
     feed(session, studio.of(MOCAP), together=100)

@@ -284,6 +284,8 @@ def _are_near(a: RigidTransform, b: RigidTransform) -> bool:
 
 def describe(counts: Mapping[str, int]) -> str:
     """Say why messages that came were not kept: '40 received: 40 wrong_joints'."""
+    if not counts['received']:
+        return '0 received'
     others = {k: n for k, n in counts.items() if k not in {'received', 'kept'} and n}
     why = ', '.join(f'{n} {reason}' for reason, n in others.items()) or 'all kept'
     return f'{counts["received"]} received: {why}'
