@@ -123,6 +123,8 @@ def test_keypoints_below_the_confidence_are_missing(studio: Studio) -> None:
     assert session.counts('cam0')['low_confidence'] == 2 * SECONDS * 30
     session.update_camera('cam0', time_offset_s=0.0, min_confidence=0.0)
     assert np.isfinite(session.snapshot().observations.views[0].uv).all()
+    low = feed(Session(with_camera(studio.rig, 0, min_confidence=0.05)), studio.of('cam0')[:9])
+    assert 'low_confidence' not in low.counts('cam0')
 
 
 @pytest.mark.parametrize('units', ['normalized', 'auto', 'pixels'])

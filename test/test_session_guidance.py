@@ -301,6 +301,21 @@ def test_session_is_guided_from_the_first_step_to_a_calibration() -> None:
     assert monitor.guidance(gates, 1.0).seconds == 0.0
 
 
+def test_refused_run_tells_how_exact_it_is_and_is_not_watched() -> None:
+    """Nobody uses its pose; how far it is from acceptance is what the person wants to know."""
+    recording = walk(7, seconds=8.0)
+    session = Session(rig_of(recording))
+    monitor = Monitor(session, max_age_s=300.0)
+    for _ in play(recording, session):
+        pass
+    snapshot = session.snapshot()
+    found = appraise(snapshot, solve(snapshot))
+    monitor.conclude(found, is_accepted=False, is_automatic=True)
+    monitor.look()
+    assert monitor.guidance(AcceptConfig(), 1.0).expected.is_known
+    assert monitor.watch.states() == {}
+
+
 def test_watch_looks_at_the_person_with_mocap_among_others() -> None:
     """Others in the images come first in half of the messages, and raise nothing."""
     scene = build_scene(preset('studio'), 3, seconds=16.0, persons=3)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from studio import bits
 
-from rpgd_ros.core import Calibration, CalibrationError, Reason
+from rpgd_ros.core import Calibration, CalibrationConfig, CalibrationError, Reason
 from rpgd_ros.core.candidates import assemble
 from rpgd_ros.messages import CAMERA_INFO, POINT_CLOUD2, encode_point_cloud2
-from rpgd_ros.session import MOCAP, Session, Snapshot, solve
+from rpgd_ros.session import MOCAP, Session, SessionConfig, Snapshot, solve
 from rpgd_ros.session.snapshot_file import read_snapshot, write_snapshot
 from rpgd_ros.simulation import SimulatedRecording, build_scene, preset, simulate
 from rpgd_ros.simulation.export import messages_of, rig_of
@@ -193,6 +193,24 @@ def test_what_was_picked_is_a_recording_by_itself(subjects: int, tmp_path: Path)
     again = solve(read_snapshot(tmp_path / 'data.npz'))
     found = solve(snapshot)
     assert again.world_T_mocap.matrix.tobytes() == found.world_T_mocap.matrix.tobytes()
+
+
+def test_two_subjects_are_kept_one_after_the_other() -> None:
+    """Where no rate of the clocks is estimated: of each its skeletons, and no instant twice."""
+    recording = film(2, 2)
+    session = collected(recording, sent_of(recording), 64)
+    calibration = CalibrationConfig().with_stage('time', estimate_rate=False)
+    session.update_config(SessionConfig(calibration=calibration))
+    snapshot = session.snapshot()
+    picked = snapshot.pick()
+    assert picked is not None
+    assert picked.used == (0, 1)
+    alone = snapshot.alone()
+    assert len(alone.skeletons.stamp_ns) == 2 * len(recording.mocap.stamp_ns)
+    assert (np.diff(alone.skeletons.stamp_ns) > 0).all()
+    for one, other in zip(alone.observations.views, picked.observations.views, strict=True):
+        assert one.uv.tobytes() == other.uv.tobytes()
+        assert one.x_mocap.tobytes() == other.x_mocap.tobytes()
 
 
 def test_snapshot_without_the_subject_is_refused_once() -> None:
