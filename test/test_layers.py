@@ -115,8 +115,9 @@ def read_module(path: Path, root: Path) -> Module:
     return Module('.'.join(parts), parts[1] if parts[1:] else '', path, text, ast.parse(text))
 
 
-def package_modules() -> list[Module]:
-    """Parse every file of the package."""
+@pytest.fixture(scope='module')
+def modules() -> list[Module]:
+    """Parse every file of the package, once for all rules."""
     return [read_module(path, ROOT) for path in sorted((ROOT / PACKAGE).rglob('*.py'))]
 
 
@@ -262,11 +263,11 @@ RULES: list[Rule] = [
 
 @pytest.mark.threat('S1')
 @pytest.mark.parametrize('rule', RULES)
-def test_no_module_of_the_package_breaks_the_rule(rule: Rule) -> None:
+def test_no_module_of_the_package_breaks_the_rule(rule: Rule, modules: list[Module]) -> None:
     """The whole package keeps it; the message names file, line and offence."""
     offences = [
         f'{module.path.relative_to(ROOT)}:{line}: {what}'
-        for module in package_modules()
+        for module in modules
         for line, what in rule(module)
     ]
     assert not offences, '\n'.join(offences)
@@ -279,7 +280,7 @@ def test_programs_and_tests_outside_the_package_name_their_licence() -> None:
     assert not unmarked
 
 
-def test_every_dependency_is_declared_for_rosdep() -> None:
+def test_every_dependency_is_declared_for_rosdep(modules: list[Module]) -> None:
     """What the package imports, package.xml names by its rosdep key."""
     keys = {'cv2': 'python3-opencv', 'launch': 'ros2launch', 'launch_ros': 'ros2launch'}
     keys |= {name: f'python3-{name}' for name in ('matplotlib', 'numpy', 'rich', 'yaml')}
@@ -294,15 +295,15 @@ def test_every_dependency_is_declared_for_rosdep() -> None:
         *DRIVER_MODULES,
         *sys.stdlib_module_names,
     }
-    tops = {name.split('.')[0] for module in package_modules() for _, name in imports(module)}
+    tops = {name.split('.')[0] for module in modules for _, name in imports(module)}
     used = {keys.get(top, top) for top in tops - without_key}
     declared = re.findall('<exec_depend>(.*)</exec_depend>', (ROOT / 'package.xml').read_text())
     assert used <= set(declared)
 
 
-def test_every_room_is_known() -> None:
+def test_every_room_is_known(modules: list[Module]) -> None:
     """A new folder or file below the package gets its place among the rooms first."""
-    assert {module.room for module in package_modules()} - {''} <= ROOMS.keys()
+    assert {module.room for module in modules} - {''} <= ROOMS.keys()
 
 
 @pytest.mark.parametrize(
