@@ -113,3 +113,16 @@ def test_a_camera_that_follows_somebody_else_is_named_with_its_share(share: floa
     told = float(sentence.split(' %')[0].split()[-1]) / 100.0
     assert told == pytest.approx(lost.mean(), abs=0.1)
     assert found.disagreements == ()
+
+
+def test_camera_with_three_wrong_keypoints_is_lost_and_not_moved() -> None:
+    """They tell nothing of where it stands, so no move is claimed of it."""
+    case = scenes.scene(frames=600, seed=2)
+    views = list(case.observations.views)
+    uv = np.full_like(views[1].uv, np.nan)
+    uv[::250, 0] = views[1].uv[::250, 0] + 300.0
+    assert np.isfinite(uv[..., 0]).sum() <= 3
+    views[1] = replace(views[1], uv=uv)
+    found = calibrate(case.cameras, replace(case.observations, views=tuple(views)))
+    assert found.disagreements == ()
+    assert scenes.errors(found.world_T_mocap, case.truth.world_T_mocap, case.observations)[0] < 0.1

@@ -182,3 +182,14 @@ def test_a_missing_trunk_keeps_the_last_heading() -> None:
 def test_what_has_no_heading_has_no_frame(x: Array) -> None:
     """A point, a single frame, two joints."""
     assert body_frames(x) == []
+
+
+def test_skeletons_of_which_none_is_whole_have_no_frame() -> None:
+    """There is no shape to begin with where each lacks one of the joints."""
+    track = scenes.scene(frames=170, seed=0).observations.mocap
+    assert track is not None
+    x = track.x_mocap.copy()
+    assert body_frames(x)
+    frame = np.arange(len(x))
+    x[frame, frame % x.shape[1]] = np.nan
+    assert body_frames(x) == []
