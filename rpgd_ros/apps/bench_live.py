@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
+from rpgd_ros.apps.calibrator import BLAS_THREADS
 from rpgd_ros.io.bag import BagWriter, open_bag
 from rpgd_ros.io.rig import write_rig
 from rpgd_ros.messages import CAMERA_INFO, POINT_CLOUD2, POSE_ARRAY, encode_pose_array
@@ -149,6 +150,7 @@ def _trial(
 ) -> Trial:
     """Start a taker and a player, wait for the player, and ask the taker for its figures."""
     environment = {
+        BLAS_THREADS: '1',
         **os.environ,
         'ROS_DOMAIN_ID': str(free_domain()),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',

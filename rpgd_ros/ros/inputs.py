@@ -191,7 +191,9 @@ class JointInput:
                 cast('Callable[[Any], None]', self._on_message),
                 qos,
                 callback_group=self._group,
-                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible),
+                event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=self._on_incompatible, use_default_callbacks=False
+                ),
                 qos_overriding_options=QoSOverridingOptions(self._overridable()),
                 raw=True,
             )
