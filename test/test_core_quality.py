@@ -60,6 +60,13 @@ def test_open_gates_let_everything_through(good: Calibration) -> None:
     refuse(good, AcceptConfig(), 1.0)
 
 
+def test_a_few_steps_are_enough_and_swaying_is_not(good: Calibration) -> None:
+    """Who stands moves by less than 0.1 m; who takes a few steps in 5 s, by 0.25 m and more."""
+    refuse(good, AcceptConfig(), 0.25)
+    with pytest.raises(CalibrationError, match='moved 0.10 m, need 0.20 m'):
+        refuse(good, AcceptConfig(), 0.1)
+
+
 @pytest.mark.parametrize('value', [np.nan, -1.0])
 def test_a_sigma_that_is_no_number_is_refused(good: Calibration, value: float) -> None:
     """Not knowing how uncertain a pose is counts as uncertain."""

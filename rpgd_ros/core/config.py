@@ -199,8 +199,9 @@ class AcceptConfig(Stage):
     min_frames: int = setting(
         10, 'Least number of frames with inliers', low=1, high=10**9, is_live=True
     )
+    # Who stands sways by 0.1 m in all; a few steps in 5 s can be as little as 0.25 m.
     min_motion_m: float = setting(
-        0.3, 'Least distance that the body must have covered', unit='m',
+        0.2, 'Least distance that the body must have covered', unit='m',
         low=0.0, high=100.0, is_live=True,
     )  # fmt: skip
     max_sigma_deg: float = setting(
