@@ -63,7 +63,7 @@ def test_open_gates_let_everything_through(good: Calibration) -> None:
 def test_a_few_steps_are_enough_and_swaying_is_not(good: Calibration) -> None:
     """Who stands moves by less than 0.1 m; who takes a few steps in 5 s, by 0.25 m and more."""
     refuse(good, AcceptConfig(), 0.25)
-    with pytest.raises(CalibrationError, match='moved 0.10 m, need 0.20 m'):
+    with pytest.raises(CalibrationError, match=r'moved 0\.10 m, need 0\.20 m'):
         refuse(good, AcceptConfig(), 0.1)
 
 
