@@ -101,8 +101,13 @@ def test_killed_node_is_answered_again_and_keeps_its_result(
     for _ in range(repeats(20, 2)):
         start = time.monotonic()
         with live(rig, domain=domain) as node:
-            published = node.latched('transform', TransformStamped)
+            line = node.child.wait_for('published the transform of .*', seconds=WAIT_S)
             started = time.monotonic() - start
+            assert 'result.yaml, found 20' in line.group()
+            # Fast DDS may let two processes find each other 3 s late where one was killed before,
+            # at the next announcement of the other: seen of listeners that had always been there.
+            published = node.latched('transform', TransformStamped)
+            measured('heard', time.monotonic() - start, 's')
             assert bits(published) == answered_bits(answer)
             while (called := node.peer.call(f'{NODE}/calibrate', seconds=1.0)) is None:
                 assert time.monotonic() - start < within(25.0), 'no answer'
@@ -110,8 +115,6 @@ def test_killed_node_is_answered_again_and_keeps_its_result(
             measured('answered', time.monotonic() - start, 's')
             measured('published', started, 's')
             assert started < within(2.0)
-            line = node.child.wait_for('published the transform of .*', seconds=WAIT_S)
-            assert 'result.yaml, found 20' in line.group()
             node.child.process.kill()
 
 
