@@ -201,8 +201,8 @@ def _histogram(residual_px: Array) -> tuple[Array, Array]:
     position = np.log10(np.clip(residual_px, 10.0**low, 10.0**high)) * BINS_PER_DECADE
     index = np.floor(position - low * BINS_PER_DECADE).astype(np.int64)
     rows = np.arange(len(index))[:, None] * n_bins
-    counts = np.bincount((index + rows).ravel(), minlength=len(index) * n_bins)
-    counts = counts.reshape(-1, n_bins)
+    flat = np.bincount((index + rows).ravel(), minlength=len(index) * n_bins)
+    counts = flat.reshape(-1, n_bins)
     used = np.flatnonzero(counts.any(0))
     r2: Array = 10.0 ** (2.0 * ((used + 0.5) / BINS_PER_DECADE + low))
     return r2, counts[:, used].astype(np.float64)
