@@ -12,7 +12,7 @@ import pytest
 import yaml
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from harness import ros_environment, running
-from ros_live import WAIT_S, assert_close, live, slow
+from ros_live import WAIT_S, Live, assert_close, live, slow
 from ros_scene import MOCAP_FRAME, WORLD_FRAME, Scene, make_scene
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
@@ -23,6 +23,13 @@ from rpgd_ros.ros.client import NODE
 from rpgd_ros.simulation.export import MOCAP_TOPIC
 
 
+def are_of_one_run(node: Live) -> bool:
+    """Whether transform and pose were published together: the next run may end between them."""
+    transform = node.latched('transform', TransformStamped)
+    pose = node.latched('pose', PoseWithCovarianceStamped)
+    return bool(transform.header.stamp == pose.header.stamp)
+
+
 def test_walk_leads_to_a_published_transform_without_any_call(walk: Scene, rig: Path) -> None:
     """Start the node, walk, and the transform is on the topics and in the file."""
     with live(rig, 'auto.enabled:=true', 'auto.period_s:=0.5') as node:
@@ -31,6 +38,7 @@ def test_walk_leads_to_a_published_transform_without_any_call(walk: Scene, rig: 
             'not accepted',
             lambda: node.peer.diagnostics('calibration').get('last_result') == 'accepted',
         )
+        node.wait_until('both of one run', lambda: are_of_one_run(node))
         message = node.latched('transform', TransformStamped)
         assert (message.header.frame_id, message.child_frame_id) == (WORLD_FRAME, MOCAP_FRAME)
         pose = node.latched('pose', PoseWithCovarianceStamped)
