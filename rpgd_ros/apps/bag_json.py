@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import yaml
 
@@ -12,7 +11,6 @@ from rpgd_ros.apps.bag_job import Written
 from rpgd_ros.apps.bag_run import BagRun
 from rpgd_ros.apps.outcome_json import json_of
 from rpgd_ros.core.errors import RpgdError
-from rpgd_ros.io.result_file import result_text
 
 
 def bag_json(
@@ -45,22 +43,6 @@ def bag_json(
         message=message,
         files={one.what: one.path for one in written},
         streams=[{**s._asdict(), 'dropped': dict(s.dropped)} for s in streams],
-        result=_result(run) if run else None,
+        result=yaml.safe_load(run.result_text) if run else None,
         check=check,
     )
-
-
-def _result(run: BagRun) -> Any:
-    """Return the content of the result file, None where there is no result."""
-    if run.calibration is None or run.refusal is not None:
-        return None
-    world_frame, mocap_frame = run.frames
-    text = result_text(
-        run.calibration,
-        world_frame=world_frame,
-        mocap_frame=mocap_frame,
-        stamp_ns=run.stamp_ns,
-        optical_frames=run.session.optical_frames(),
-        levels=run.stored_levels,
-    )
-    return yaml.safe_load(text)

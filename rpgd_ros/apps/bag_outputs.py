@@ -21,7 +21,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.datasets.labels import write_labels
 from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.io.camera_files import toml_text
-from rpgd_ros.io.result_file import write_result
+from rpgd_ros.io.result_file import write_result_text
 from rpgd_ros.io.rig import with_poses, write_rig
 from rpgd_ros.report import (
     Case,
@@ -91,18 +91,8 @@ def _is_due(name: str, run: BagRun) -> bool:
 
 
 def _result(job: Job, path: Path) -> None:
-    run = job.run
-    if run.calibration is not None:
-        world_frame, mocap_frame = run.frames
-        write_result(
-            path,
-            run.calibration,
-            world_frame=world_frame,
-            mocap_frame=mocap_frame,
-            stamp_ns=run.stamp_ns,
-            optical_frames=run.session.optical_frames(),
-            levels=run.stored_levels,
-        )
+    if job.run.result_text:
+        write_result_text(path, job.run.result_text)
 
 
 def _rig(job: Job, path: Path) -> None:

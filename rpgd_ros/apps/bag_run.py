@@ -18,7 +18,7 @@ from rpgd_ros.core.errors import CalibrationError, InputError, Reason
 from rpgd_ros.core.observations import Observations
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.recording import Recording, open_recording
-from rpgd_ros.io.result_file import StoredLevel
+from rpgd_ros.io.result_file import StoredLevel, result_text
 from rpgd_ros.io.rig import Rig
 from rpgd_ros.pairing import BufferConfig
 from rpgd_ros.report import StreamCount
@@ -74,6 +74,21 @@ class BagRun:
         if self.calibration is None or self.snapshot is None:
             return {}
         return appraise(self.snapshot, self.calibration).stored_levels
+
+    @cached_property
+    def result_text(self) -> str:
+        """The result file of what was found; '' where nothing was, or nobody should use it."""
+        if self.calibration is None or self.refusal is not None:
+            return ''
+        world_frame, mocap_frame = self.frames
+        return result_text(
+            self.calibration,
+            world_frame=world_frame,
+            mocap_frame=mocap_frame,
+            stamp_ns=self.stamp_ns,
+            optical_frames=self.session.optical_frames(),
+            levels=self.stored_levels,
+        )
 
     @property
     def offsets_s(self) -> tuple[float, ...]:

@@ -20,7 +20,7 @@ from rpgd_ros.core.moments import N_ALL, N_ESTIMATED, Scene, sum_moments
 from rpgd_ros.core.noise import NoiseModel
 from rpgd_ros.core.noise_fit import noise_at
 from rpgd_ros.core.normal import apply_delta
-from rpgd_ros.core.unknowns import System, Unknowns, assemble
+from rpgd_ros.core.unknowns import Solution, System, Unknowns, assemble
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -161,6 +161,12 @@ def look(problem: Problem, state: State, unknowns: Unknowns, loss: Loss) -> Syst
     n = N_ALL if unknowns.focal or unknowns.with_scale else N_ESTIMATED
     moments = sum_moments(scene, state.pose, loss, n=n)
     return assemble(moments, unknowns, scene.sights, state.pose @ problem.centroid_mocap)
+
+
+def solved_at(problem: Problem, state: State, unknowns: Unknowns, loss: Loss) -> Solution:
+    """Sum the normal equations at a state, and solve them with its priors."""
+    precision, _ = prior(unknowns, state)
+    return look(problem, state, unknowns, loss).solved(precision)
 
 
 def adjust(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from rpgd_ros.core.adjust import look, prior
+from rpgd_ros.core.adjust import solved_at
 from rpgd_ros.core.drift import Drift, find_drift
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.questions import (
@@ -86,8 +86,7 @@ class Findings:
     def of(cls, details: Details) -> Self:
         """Collect what was settled, and ask for the rest."""
         problem, unknowns, (state, _, noise) = details.problem, details.unknowns, details.at
-        precision, _ = prior(unknowns, state)
-        solution = look(problem, state, unknowns, noise).solved(precision)
+        solution = solved_at(problem, state, unknowns, noise)
         sigma = sigmas(solution)
         names = [s.camera.name for s in problem.sights]
         joints = None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rpgd_ros.core.adjust import Problem, State, adjust, look, prior
+from rpgd_ros.core.adjust import Problem, State, adjust, prior, solved_at
 from rpgd_ros.core.covariance import larger
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight, residuals
@@ -88,9 +88,7 @@ def _without_pretexts(problem: Problem, at: Settled, check: Callable[[float], No
     poor = [v for v, s in enumerate(share) if s < POOR_SHARE * np.median(np.delete(share, v))]
     if not poor or len(poor) > len(share) - 2:
         return at
-    system = look(problem, at.state, at.unknowns, at.noise)
-    precision, _ = prior(at.unknowns, at.state)
-    sigma = sigmas(system.solved(precision))[at.unknowns.offsets]
+    sigma = sigmas(solved_at(problem, at.state, at.unknowns, at.noise))[at.unknowns.offsets]
     poor = [v for v in poor if sigma[v] > POOR_SIGMA * np.median(np.delete(sigma, poor))]
     if not poor:
         return at
@@ -122,9 +120,8 @@ def _with_rates(problem: Problem, at: Settled, check: Callable[[float], None]) -
     """Estimate the rates, too, of the clocks that run wrong beyond doubt."""
     offset = at.unknowns.offset
     freed = replace(at.unknowns, rate=offset)
-    system = look(problem, at.state, freed, at.noise)
-    precision, value = prior(freed, at.state)
-    solution = system.solved(precision)
+    solution = solved_at(problem, at.state, freed, at.noise)
+    _, value = prior(freed, at.state)
     step, _ = solution.step(value)
     # Here by independent errors alone: a wrong rate is what makes joints and times scatter.
     wrong = _beyond(step[freed.rates], np.sqrt(np.diag(solution.inverse))[freed.rates])
@@ -133,8 +130,7 @@ def _with_rates(problem: Problem, at: Settled, check: Callable[[float], None]) -
         kept = wrong
         rate = tuple(kept.index(c) if c in kept else -1 for c in offset)
         found = settled(problem, at._replace(unknowns=replace(at.unknowns, rate=rate)), check)
-        system = look(problem, found.state, found.unknowns, found.noise)
-        solution = system.solved(prior(found.unknowns, found.state)[0])
+        solution = solved_at(problem, found.state, found.unknowns, found.noise)
         sigma = sigmas(solution)[found.unknowns.rates]
         rates = [found.state.rate[rate.index(n)] for n in range(len(kept))]
         wrong = [kept[k] for k in _beyond(np.array(rates), sigma)]
@@ -152,9 +148,7 @@ def without_unknown(
 ) -> Settled:
     """Set offsets to zero that the motion does not tell, and settle the rest again."""
     unknowns = at.unknowns
-    precision, _ = prior(unknowns, at.state)
-    system = look(problem, at.state, unknowns, at.noise)
-    sigma = sigmas(system.solved(precision))[unknowns.offsets]
+    sigma = sigmas(solved_at(problem, at.state, unknowns, at.noise))[unknowns.offsets]
     known = np.flatnonzero(sigma <= max_sigma_s).tolist()
     if len(known) == len(sigma):
         return at

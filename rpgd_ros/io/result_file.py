@@ -128,7 +128,6 @@ def write_result(
         InputError: NOT_WRITABLE. The old file is untouched.
 
     """
-    path = Path(path)
     text = result_text(
         calibration,
         world_frame=world_frame,
@@ -137,6 +136,11 @@ def write_result(
         optical_frames=optical_frames,
         levels=levels,
     )
+    write_result_text(Path(path), text)
+
+
+def write_result_text(path: Path, text: str) -> None:
+    """Write the text of a result file; arguments, backup and errors as for `write_result`."""
     if not path.is_symlink():
         back_up(path)
     write_atomic(path, text)
