@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 # Newton decrement g^T H^-1 g of a likelihood, in squared standard deviations of the pose.
 CONVERGED = 1e-6  # a thousandth of a sigma: nothing that anybody could measure is left
 GOOD_STEP = 10.0  # from here one step was seen to end at 1e-9 to 1e-6: no need to look again
+LAST_STEP = 1e-3  # within a thirtieth of a sigma the figures of both of its ends are the same
 COST_ROUNDING = 1e-7  # of the cost: single-precision columns
 MAX_HALVINGS = 8
 ADAM_BETA = (0.9, 0.999)  # as published for Adam
@@ -44,7 +45,8 @@ class Descent:
     Attributes:
         pose: world_T_mocap.
         normal: Sums where the last step began.
-        examination: A look at `pose`.
+        examination: A look at `pose`, or at where the last step began if that was within
+            `LAST_STEP`.
         is_converged: Whether the remaining step is negligible.
 
     """
@@ -100,23 +102,29 @@ def finish(
     """Descend from nearby until a look at the end shows that nothing is left to gain.
 
     Arguments as for `descend`; `threshold_px` is that of the inliers counted at the end. From the
-    optimum of a part of the data one step is the rule: two passes over all of it.
+    optimum of a part of the data two steps with one Hessian are the rule, and so two passes over
+    all of it: the gradient that the look ends with is good for a step.
     """
     shrink = 1.0
     normal = normal_equations(sights, pose, pose @ centroid_mocap, loss)
     for step in range(1, max_steps + 1):
         check(step / max_steps)
-        delta, _ = newton_step(normal.hessian, normal.information, normal.gradient)
+        delta, decrement = newton_step(normal.hessian, normal.information, normal.gradient)
         moved = apply_delta(pose, shrink * delta, pose @ centroid_mocap)
-        seen = examine(sights, moved, moved @ centroid_mocap, loss, threshold_px=threshold_px)
-        _, left = newton_step(normal.hessian, normal.information, seen.gradient)
+        pivot = moved @ centroid_mocap
+        seen = examine(sights, moved, pivot, loss, threshold_px=threshold_px)
+        last, left = newton_step(normal.hessian, normal.information, seen.gradient)
         if seen.cost > normal.cost * (1.0 + COST_ROUNDING):
             shrink *= 0.5
             if shrink < 0.5**MAX_HALVINGS:
                 break
             continue
-        if left < CONVERGED or step == max_steps:
-            return Descent(moved, normal, seen, is_converged=left < CONVERGED)
+        # An old Hessian is off by twice what made the first step miss (its change along the way).
+        will_leave = 4.0 * left**2 / max(decrement, left, 1e-30)
+        if left < LAST_STEP and will_leave < CONVERGED:
+            return Descent(apply_delta(moved, last, pivot), normal, seen, is_converged=True)
+        if step == max_steps:
+            return Descent(moved, normal, seen, is_converged=False)
         pose, shrink = moved, 1.0
         normal = normal_equations(sights, pose, pose @ centroid_mocap, loss)
     return appraise(sights, pose, centroid_mocap, loss, threshold_px=threshold_px)
