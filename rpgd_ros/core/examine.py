@@ -124,8 +124,8 @@ def examine(
             cost += added
             pull = slopes.pull(white.du * weight, white.dv * weight)
             pull = pull.reshape(6, -1, n_joints)
-            of_joint += np.add.reduce(pull, 1).T
-            of_time += per_block(np.add.reduce(pull, 2), block[frames])
+            of_joint += np.einsum('pfj->jp', pull)
+            of_time += per_block(np.einsum('pfj->pf', pull), block[frames])
             squared = white.squared
             near = res.in_view & (squared < threshold_px**2)
             book.enter(v, res, near, squared > (LOST_FACTOR * threshold_px) ** 2)
@@ -153,12 +153,14 @@ def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:
 
 
 class _Book:
-    """Running sums of a `Tally`."""
+    """Running sums of a `Tally`.
+
+    `einsum` adds up columns several times as fast as `add.reduce`, and the same whatever the
+    number of threads, unlike a product of matrices. Counts of a chunk are exact as floats.
+    """
 
     def __init__(self, n_cameras: int, n_joints: int, stride: int) -> None:
-        shape = (n_cameras, n_joints)
-        self._counts = np.zeros((2, *shape), np.int64)
-        self._sums = np.zeros((4, *shape))
+        self._sums = np.zeros((6, n_cameras, n_joints))
         self._frames = np.zeros((3, n_cameras), np.int64)
         self._sample: list[Column] = []
         self._stride = stride
@@ -168,28 +170,29 @@ class _Book:
         r = np.sqrt(res.squared)
         kept = slice(None, None, self._stride)
         self._sample.append(r[kept][res.in_view[kept]])
-        frames = (-1, self._counts.shape[2])
-        seen_at, near_at = res.in_view.reshape(frames), near.reshape(frames)
-        self._counts[0, camera] += np.add.reduce(seen_at, 0, dtype=np.int64)
-        self._counts[1, camera] += np.add.reduce(near_at, 0, dtype=np.int64)
-        far_at = (res.in_view & far).reshape(frames)
-        n_seen, n_near, n_far = (
-            np.add.reduce(m, 1, dtype=np.int64) for m in (seen_at, near_at, far_at)
+        frames = (-1, self._sums.shape[2])
+        is_seen, is_near, is_far = (
+            m.reshape(frames).astype(np.float32) for m in (res.in_view, near, res.in_view & far)
         )
+        n_seen, n_near, n_far = (np.einsum('fj->f', m) for m in (is_seen, is_near, is_far))
         self._frames[:, camera] += [
             np.count_nonzero(n_near),
             np.count_nonzero(n_seen),
             np.count_nonzero(2 * n_far > n_seen),
         ]
-        columns = (r, r * near, res.du * near, res.dv * near)  # r is zero where not in view
-        for k, column in enumerate(columns):
-            self._sums[k, camera] += np.add.reduce(column.reshape(frames), 0)
+        errors = [column.reshape(frames) for column in (r, res.du, res.dv)]
+        self._sums[:, camera] += [
+            np.einsum('fj->j', is_seen),
+            np.einsum('fj->j', is_near),
+            np.einsum('fj->j', errors[0]),  # zero where not in view
+            *(np.einsum('fj,fj->j', column, is_near) for column in errors),
+        ]
 
     def close(self) -> Tally:
         """Return the sums."""
         sample = np.concatenate(self._sample).astype(np.float64)
-        bias = np.stack([self._sums[2], self._sums[3]], -1)
-        n, n_in = self._counts
-        error, error_in = self._sums[:2]
+        n, n_in = self._sums[:2].astype(np.int64)
+        error, error_in = self._sums[2:4]
+        bias = np.stack([self._sums[4], self._sums[5]], -1)
         near, seen, lost = self._frames
         return Tally(n, n_in, error, error_in, bias, near, seen, lost, sample)

@@ -19,9 +19,9 @@ MIDDLE_POINTS = 32_768  # the noise is fitted on them: 0.5 % of its sigma
 
 def spread(n_frames: int, wanted: int) -> IntArray:
     """Return up to `wanted` frame numbers, evenly spread from first to last."""
-    return np.unique(
-        np.linspace(0, max(n_frames - 1, 0), min(n_frames, wanted)).round().astype(int)
-    )
+    if wanted >= n_frames:
+        return np.arange(n_frames)
+    return np.linspace(0, n_frames - 1, wanted).round().astype(int)
 
 
 def thin(sights: Sequence[Sight], points: int, *, stride: int = 0) -> list[Sight]:
