@@ -31,6 +31,7 @@ from rpgd_ros.io.rig import Rig
 from rpgd_ros.messages import POINT_CLOUD2, encode_camera_info, encode_point_cloud2
 from rpgd_ros.messages.camera_info import CameraInfo
 from rpgd_ros.session import Session, solve
+from rpgd_ros.session.monitor import Monitor, appraise
 
 
 @pytest.fixture(scope='module')
@@ -96,8 +97,8 @@ def test_pose_from_elsewhere_ends_the_search(studio: Studio) -> None:
     assert not solve(session.snapshot()).camera_poses
 
 
-def test_rectified_camera_is_placed_by_its_optical_frame(studio: Studio) -> None:
-    """Its keypoints are of an image that is turned against that frame."""
+def rectified(studio: Studio) -> tuple[Session, Camera]:
+    """Return a session of a rig without poses, its last camera rectified, and that as it sees."""
     turn = so3_exp([0.02, -0.1, 0.05])
     rig = without_poses(studio.rig)
     rig = with_camera(rig, 2, camera=None, rectified=True, camera_info_topic='cam2/camera_info')
@@ -112,6 +113,14 @@ def test_rectified_camera_is_placed_by_its_optical_frame(studio: Studio) -> None
     seen_by = Camera('cam2', MATRIX, np.zeros(0), SIZE, RigidTransform(turn, np.zeros(3)) @ raw)
     feed(session, [m for m in studio.messages if m[0] != 'cam2'], together=500)
     feed(session, _as_seen_by(seen_by), together=500)
+    return session, seen_by
+
+
+def test_rectified_camera_is_placed_by_its_optical_frame(studio: Studio) -> None:
+    """Its keypoints are of an image that is turned against that frame."""
+    session, seen_by = rectified(studio)
+    raw = studio.rig.cameras[2].extrinsics
+    assert raw is not None
     snapshot = session.snapshot()
     calibration = solve(snapshot)
     error_deg, error_m = apart(
@@ -123,6 +132,24 @@ def test_rectified_camera_is_placed_by_its_optical_frame(studio: Studio) -> None
     placed = snapshot.placed(calibration.camera_poses)[2].camera_T_world
     assert placed is not None
     assert apart(placed, seen_by.camera_T_world @ WORLD_T_MOCAP)[0] < 0.2
+
+
+def test_rectified_camera_is_watched_where_it_was_placed(studio: Studio) -> None:
+    """Until then it stands nowhere: how it is turned against its optical frame is no pose."""
+    session, _ = rectified(studio)
+    monitor = Monitor(session, max_age_s=300.0)
+    assert monitor.recent.cameras() == []
+    assert not any(new.is_placed for new in monitor.recent.take())
+    snapshot = session.snapshot()
+    calibration = solve(snapshot)
+    appraisal = appraise(snapshot, calibration)
+    monitor.conclude(appraisal, is_accepted=True, is_automatic=False)
+    for drawn, used in zip(
+        monitor.recent.cameras(), snapshot.placed(calibration.camera_poses), strict=True
+    ):
+        assert drawn.camera_T_world is not None
+        assert used.camera_T_world is not None
+        assert np.array_equal(drawn.camera_T_world.matrix, used.camera_T_world.matrix)
 
 
 def _as_seen_by(camera: Camera) -> list[tuple[str, bytes, int]]:

@@ -149,7 +149,8 @@ class CameraInput(StreamInput):
 
     Attributes:
         rig: The camera in the rig file.
-        camera: With intrinsics; its pose may be unknown. None until they arrive.
+        camera: With intrinsics; None until they arrive. Where its pose is unknown, see `has_pose`,
+            it holds how far a rectified image is turned against the optical frame, if it is.
 
     """
 

@@ -33,7 +33,7 @@ class Appraisal:
         pose: world_T_mocap.
         levels: How the cameras fit it.
         offsets_s: How late each video is stamped, where that was estimated.
-        poses: camera_T_world of the cameras that it placed.
+        poses: camera_T_world of the optical frames of the cameras that it placed.
         expectation: What it is known to, to be continued.
 
     """
@@ -61,11 +61,7 @@ def appraise(snapshot: Snapshot, calibration: Calibration) -> Appraisal:
     views = replace(settled, keypoints=tracks).observations.views
     pairs = zip(settled.cameras, views, strict=True)
     sights = [Sight(camera, view) for camera, view in pairs if view.n_frames]
-    poses = {
-        camera.name: camera.camera_T_world
-        for camera in settled.cameras
-        if camera.name in snapshot.turns and camera.camera_T_world is not None
-    }
+    poses = {name: found.camera_T_world for name, found in calibration.camera_poses.items()}
     few = thin(sights, APPRAISED_POINTS)
     pose = calibration.world_T_mocap
     expectation = Expectation(pose, calibration.centroid_mocap)

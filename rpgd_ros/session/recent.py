@@ -50,7 +50,7 @@ class Recent:
         session: Where the messages are.
         offsets_s: How late videos are stamped by the calibration that holds, by camera; for the
             others holds what the rig file says.
-        poses: camera_T_world of the cameras that a calibration has placed.
+        poses: camera_T_world of the optical frames of cameras that a calibration has placed.
         pose: world_T_mocap where it is known: tells which of several persons in an image is the
             one with MoCap. Without it the first one is taken.
 
@@ -140,10 +140,11 @@ class Recent:
 def _placed(source: CameraInput, found: RigidTransform | None, *, is_only: bool) -> Camera | None:
     """Return a camera, with its pose if that is known; None without intrinsics."""
     camera = source.camera
-    if camera is None:
-        return None
-    pose = camera.camera_T_world or found or (RigidTransform.identity() if is_only else None)
-    return replace(camera, camera_T_world=pose)
+    if camera is None or source.has_pose:
+        return camera
+    turn = camera.camera_T_world or RigidTransform.identity()
+    optical = RigidTransform.identity() if is_only else found
+    return replace(camera, camera_T_world=None if optical is None else turn @ optical)
 
 
 def _detections(source: CameraInput, rows: slice) -> list[Samples]:
