@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -101,6 +102,28 @@ def test_cameras_without_extrinsics_are_published_in_the_mocap_frame(
         again = node.latched(f'{names[1]}/pose', PoseWithCovarianceStamped)
         assert heard(again).matrix.tolist() == heard(before).matrix.tolist()
         assert list(again.pose.covariance) == list(before.pose.covariance)
+
+
+def test_cameras_of_a_kept_result_are_watched_where_it_placed_them(
+    walk: Scene, tmp_path: Path
+) -> None:
+    """After a restart each fits as it did when it was accepted."""
+    rig = blind_rig(walk, tmp_path)
+    with live(rig) as node:
+        node.play(walk)
+        assert node.calibrate()[0]
+        node.child.end(signal.SIGTERM, seconds=WAIT_S)
+    path = tmp_path / 'result.yaml'
+    stored = read_result(path)
+    assert set(stored.camera_poses) == {camera.name for camera in walk.recording.cameras}
+    with live(rig) as node:
+        node.play(walk)
+        error = lambda name: node.peer.diagnostics(f'camera {name}').get('error_px', 'nan')  # noqa: E731
+        for name in stored.camera_poses:
+            node.wait_until(f'{name} not watched', lambda n=name: float(error(n)) > 0.0)
+            accepted_px = float(node.peer.diagnostics(f'camera {name}')['accepted_px'])
+            assert float(error(name)) < 1.5 * accepted_px
+        assert 'Attention' not in node.sentence()
 
 
 def _end(child: Child) -> None:

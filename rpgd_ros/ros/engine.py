@@ -153,6 +153,7 @@ class Engine:
             stored.world_T_mocap,
             stored_levels(stored),
             offsets_s={name: offset_s for name, (offset_s, _) in stored.time_offset_s.items()},
+            poses={name: found.camera_T_world for name, found in stored.camera_poses.items()},
         )
 
     def guarded(self, callback: Callable[P, None]) -> Callable[P, None]:

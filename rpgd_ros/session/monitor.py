@@ -133,11 +133,11 @@ class Monitor:
         """
         self._expectation = appraisal.expectation
         if is_accepted:
-            self.recent.poses = appraisal.poses
             self.keep_watch(
                 appraisal.pose,
                 appraisal.levels,
                 offsets_s=appraisal.offsets_s,
+                poses=appraisal.poses,
                 is_automatic=is_automatic,
             )
 
@@ -147,10 +147,12 @@ class Monitor:
         levels: Mapping[str, Level],
         *,
         offsets_s: Mapping[str, float],
+        poses: Mapping[str, RigidTransform],
         is_automatic: bool = False,
     ) -> None:
         """Watch a pose from now on; arguments as for `Watch.accept` and `Recent`."""
         self.recent.offsets_s, self.recent.pose = dict(offsets_s), pose
+        self.recent.poses = dict(poses)
         self.watch.accept(pose, levels, is_automatic=is_automatic)
 
     def guidance(self, gates: AcceptConfig, needed_motion_m: float) -> Guidance:
