@@ -55,8 +55,9 @@ def test_signal_in_a_save_leaves_a_whole_file(
         with live(rig, program=[FAULTY, 'slow_disk']) as node:
             node.play(walk)
             assert node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S) is not None
-            # The first file written is the backup where there is something to back up.
-            node.child.wait_for('(saving\n.*){%d}' % (1 + n % 2 * bool(before)), seconds=WAIT_S)  # noqa: UP031
+            # After the data comes the backup, where there is something to back up.
+            number_of = 2 if n % 2 or not before else 3
+            node.child.wait_for('(saving\n.*){%d}' % number_of, seconds=WAIT_S)  # noqa: UP031
             seconds = end(node.child, number)
             assert seconds < within(END_S)
             assert 'Traceback' not in node.child.output
@@ -224,10 +225,13 @@ def test_result_that_cannot_be_saved_is_kept_until_it_can(
         assert node.calibrate()[0]
         pid, old = node.child.process.pid, path.read_bytes()
         before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, (1000, before[1]))
-        save_is_refused(node, 'File too large')
-        assert path.read_bytes() == old
-        assert not temporary_files(path.parent)
+        data = path.with_suffix('.npz').read_bytes()
+        for room in (1000, len(data) - 1):  # for neither, for all but the data
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (room, before[1]))
+            save_is_refused(node, 'File too large')
+            assert path.read_bytes() == old
+            assert path.with_suffix('.npz').read_bytes() == data
+            assert not temporary_files(path.parent)
         resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
         assert node.call('save').success
         assert path.read_bytes() != old

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +14,13 @@ import pytest
 from studio import feed, make_studio, without_poses
 
 from rpgd_ros.core import InputError, Reason
+from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.session import Session, Snapshot, solve
 from rpgd_ros.session.snapshot_file import (
     HEAD,
     SCHEMA,
+    exchanged,
     read_snapshot,
-    remove_snapshot,
     write_snapshot,
 )
 
@@ -88,8 +92,11 @@ def test_folder_in_the_place_of_the_file_is_not_removed(tmp_path: Path) -> None:
     """The message tells the path, and why."""
     path = tmp_path / 'result.npz'
     path.mkdir()
-    with pytest.raises(InputError, match=r'result\.npz cannot be removed: ') as refused:
-        remove_snapshot(path)
+    with (
+        pytest.raises(InputError, match=r'result\.npz cannot be removed: ') as refused,
+        exchanged(path, None),
+    ):
+        pytest.fail('went on')
     assert refused.value.reason is Reason.NOT_WRITABLE
     assert path.is_dir()
 
@@ -98,6 +105,42 @@ def test_file_of_another_result_can_be_removed_twice(tmp_path: Path) -> None:
     """One that is not there is removed already."""
     path = tmp_path / 'result.npz'
     path.write_bytes(b'x')
-    remove_snapshot(path)
-    remove_snapshot(path)
-    assert not path.exists()
+    for _ in range(2):
+        with exchanged(path, None):
+            pass
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_no_result_ever_stands_beside_the_data_of_another(
+    snapshot: Snapshot, tmp_path: Path
+) -> None:
+    """While it is written, which a kill may end, none is there; where that fails, the old one."""
+    path = tmp_path / 'result.npz'
+    path.write_bytes(b'old')
+    for data in (snapshot, None):
+        with contextlib.suppress(InputError), exchanged(path, data):
+            assert not path.exists()
+            write_atomic(tmp_path / 'gone' / 'result.yaml', '')
+        assert path.read_bytes() == b'old'
+        assert list(tmp_path.iterdir()) == [path]
+    with exchanged(path, snapshot):
+        assert not path.exists()
+    assert read_snapshot(path).pair_counts == snapshot.pair_counts
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_data_for_which_there_is_no_room_change_nothing(
+    snapshot: Snapshot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The result is not written then, and keeps what it came from."""
+    path = tmp_path / 'result.npz'
+    path.write_bytes(b'old')
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), descriptor)
+
+    monkeypatch.setattr(os, 'fsync', full)
+    with pytest.raises(InputError, match='No space left'), exchanged(path, snapshot):
+        pytest.fail('went on')
+    assert path.read_bytes() == b'old'
+    assert list(tmp_path.iterdir()) == [path]

@@ -6,6 +6,8 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from rpgd_ros.core.errors import InputError, Reason
@@ -29,15 +31,75 @@ def write_atomic(path: Path | str, data: str | bytes, mode: int = 0o644) -> None
             file is untouched and no temporary one is left.
 
     """
+    with staged(path, data, mode) as put:
+        put()
+
+
+@contextmanager
+def staged(path: Path | str, data: str | bytes, mode: int = 0o644) -> Iterator[Callable[[], None]]:
+    """Write a file whole onto the disk, but into its place only when told to; else it goes.
+
+    Arguments and errors as for `write_atomic`.
+
+    Yields:
+        What puts it into its place.
+
+    """
     path = Path(path)
     if path.is_symlink():
         msg = f'{path} is a symbolic link: give the file itself'
         raise InputError(Reason.NOT_WRITABLE, msg)
+    with _said(path, 'written'):
+        temporary = _temporary(path, data.encode() if isinstance(data, str) else data, mode)
+
+    def put() -> None:
+        with _said(path, 'written'):
+            temporary.replace(path)
+        _flush_folder(path.parent)
+
     try:
-        _replace(path, data.encode() if isinstance(data, str) else data, mode)
-    except OSError as error:
-        msg = f'{path} cannot be written: {error.strerror or error}'
-        raise InputError(Reason.NOT_WRITABLE, msg) from error
+        yield put
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+
+
+@contextmanager
+def set_aside(path: Path | str) -> Iterator[None]:
+    """Take a file, if there is one, out of its place; it goes, or comes back on an exception.
+
+    Raises:
+        InputError: NOT_WRITABLE. It is no file, or what the operating system says.
+
+    """
+    path = Path(path)
+    aside = path.with_name(f'.{path.name}.{os.getpid()}.aside{SUFFIX}')
+    if path.exists() and not path.is_file():
+        msg = f'{path} cannot be removed: it is no file'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+    with _said(path, 'removed'):
+        aside.unlink(missing_ok=True)  # of a killed process that had our number
+        with contextlib.suppress(FileNotFoundError):
+            path.replace(aside)
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            aside.replace(path)
+        raise
+    with _said(path, 'removed'):
+        aside.unlink(missing_ok=True)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, if there is none, and those above it.
+
+    Raises:
+        InputError: NOT_WRITABLE.
+
+    """
+    with _said(folder, 'made'):
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 def remove_leftovers(path: Path | str) -> None:
@@ -54,7 +116,17 @@ def remove_leftovers(path: Path | str) -> None:
                 leftover.unlink()
 
 
-def _replace(path: Path, data: bytes, mode: int) -> None:
+@contextmanager
+def _said(path: Path, done: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        msg = f'{path} cannot be {done}: {error.strerror or error}'
+        raise InputError(Reason.NOT_WRITABLE, msg) from error
+
+
+def _temporary(path: Path, data: bytes, mode: int) -> Path:
+    """Write a temporary file in the folder of a target."""
     # The process is in the name, so that leftovers of a dead one can be told from files at work.
     prefix = f'.{path.name}.{os.getpid()}.'
     descriptor, temporary = tempfile.mkstemp(suffix=SUFFIX, prefix=prefix, dir=path.parent)
@@ -64,12 +136,11 @@ def _replace(path: Path, data: bytes, mode: int) -> None:
             file.flush()
             os.fchmod(file.fileno(), mode)  # mkstemp gives 0600, whatever the umask
             os.fsync(file.fileno())
-        Path(temporary).replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             Path(temporary).unlink()
         raise
-    _flush_folder(path.parent)
+    return Path(temporary)
 
 
 def _flush_folder(folder: Path) -> None:

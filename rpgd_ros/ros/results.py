@@ -16,7 +16,7 @@ from rpgd_ros.core.camera_pose import CameraPose
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.result import Calibration
-from rpgd_ros.io.atomic import remove_leftovers
+from rpgd_ros.io.atomic import make_folder, remove_leftovers
 from rpgd_ros.io.backups import utc
 from rpgd_ros.io.frames import Frames
 from rpgd_ros.io.result_file import StoredResult, read_result, write_result
@@ -24,7 +24,7 @@ from rpgd_ros.ros.transforms import Published, TransformOutput
 from rpgd_ros.ros.worker import Worker
 from rpgd_ros.session import Snapshot
 from rpgd_ros.session.monitor import Appraisal
-from rpgd_ros.session.snapshot_file import remove_snapshot, write_snapshot
+from rpgd_ros.session.snapshot_file import exchanged
 
 DEFAULT_FOLDER = Path('~/.ros/rpgd')
 DEFAULT_MOCAP_FRAME = 'mocap'  # where neither rig file nor messages name one
@@ -181,25 +181,22 @@ class Results:
             data: What it was found from. Without it a file of other data is removed.
 
         Raises:
-            InputError: NOT_WRITABLE.
+            InputError: NOT_WRITABLE. Both files are those of before.
 
         """
+        beside = self.path.with_suffix('.npz')
         with worker.uncut():
-            _make_folder(self.path.parent)
-            write_result(
-                self.path,
-                calibration,
-                world_frame=frames.world,
-                mocap_frame=frames.mocap,
-                stamp_ns=found_ns or time.time_ns(),
-                optical_frames=frames.optical,
-                levels=appraisal.stored_levels if appraisal else {},
-            )
-            beside = self.path.with_suffix('.npz')
-            if data is not None:
-                write_snapshot(beside, data)
-            else:
-                remove_snapshot(beside)
+            make_folder(self.path.parent)
+            with exchanged(beside, data):
+                write_result(
+                    self.path,
+                    calibration,
+                    world_frame=frames.world,
+                    mocap_frame=frames.mocap,
+                    stamp_ns=found_ns or time.time_ns(),
+                    optical_frames=frames.optical,
+                    levels=appraisal.stored_levels if appraisal else {},
+                )
 
     def write_again(self, worker: Worker) -> None:
         """Write the published calibration again; for the worker's thread.
@@ -290,11 +287,3 @@ class Results:
         )
         self._found_s = found_ns / NS_PER_S
         self._output.publish(self._published)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f'{folder} cannot be made: {error.strerror or error}'
-        raise InputError(Reason.NOT_WRITABLE, msg) from error

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 from io import BytesIO
 from pathlib import Path
@@ -20,7 +22,7 @@ from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.config import CalibrationConfig
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import RigidTransform
-from rpgd_ros.io.atomic import write_atomic
+from rpgd_ros.io.atomic import set_aside, staged, write_atomic
 from rpgd_ros.pairing import PairCounts, Samples, SyncConfig
 from rpgd_ros.session.snapshot import KeypointTrack, Snapshot
 
@@ -36,6 +38,36 @@ def write_snapshot(path: Path | str, snapshot: Snapshot) -> None:
         InputError: NOT_WRITABLE. An old file is untouched.
 
     """
+    write_atomic(path, _packed(snapshot))
+
+
+@contextmanager
+def exchanged(path: Path | str, snapshot: Snapshot | None) -> Iterator[None]:
+    """Exchange what a result came from, while that result is written.
+
+    The new file is whole on the disk before anything changes, and none is in its place until the
+    result is: whatever happens, no result ever stands beside the data of another.
+
+    Args:
+        path: Beside the result file.
+        snapshot: What the new result came from; None = not known, the old file goes.
+
+    Raises:
+        InputError: NOT_WRITABLE. The old file is in its place, as after any exception inside.
+
+    """
+    if snapshot is None:
+        with set_aside(path):
+            yield
+        return
+    with staged(path, _packed(snapshot)) as put:
+        with set_aside(path):
+            yield
+        put()
+
+
+def _packed(snapshot: Snapshot) -> bytes:
+    """Return a snapshot as the bytes of its file."""
     snapshot = snapshot.alone()  # of several persons, those that the solve used
     arrays: dict[str, NDArray[Any]] = _samples('skeletons', snapshot.skeletons)
     for v, (camera, track) in enumerate(zip(snapshot.cameras, snapshot.keypoints, strict=True)):
@@ -51,7 +83,7 @@ def write_snapshot(path: Path | str, snapshot: Snapshot) -> None:
     arrays[HEAD] = np.array(json.dumps(_head(snapshot)))
     file = BytesIO()
     np.savez(file, **arrays)  # type: ignore[arg-type]
-    write_atomic(path, file.getvalue())
+    return file.getvalue()
 
 
 def read_snapshot(path: Path | str) -> Snapshot:
@@ -72,20 +104,6 @@ def read_snapshot(path: Path | str) -> Snapshot:
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         msg = f'{path} is no file of observations: {type(error).__name__}: {error}'
         raise InputError(Reason.BAD_RESULT_FILE, msg) from error
-
-
-def remove_snapshot(path: Path | str) -> None:
-    """Remove a file that no longer belongs to the result beside it, if there is one.
-
-    Raises:
-        InputError: NOT_WRITABLE.
-
-    """
-    try:
-        Path(path).unlink(missing_ok=True)
-    except OSError as error:
-        msg = f'{path} cannot be removed: {error.strerror or error}'
-        raise InputError(Reason.NOT_WRITABLE, msg) from error
 
 
 def _head(snapshot: Snapshot) -> dict[str, Any]:
