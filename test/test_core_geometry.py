@@ -227,10 +227,15 @@ def test_what_is_no_rigid_transform_is_refused(
         RigidTransform(rotation, translation)
 
 
-def test_a_rotation_with_six_decimals_passes() -> None:
-    """Files round; what they hold is still a rotation."""
-    rounded = np.round(so3_exp([0.3, -1.0, 2.0]), 6)
-    RigidTransform(rounded, np.zeros(3))
+@settings(max_examples=300)
+@given(v=rotvecs())
+def test_a_rotation_with_six_decimals_passes(v: Array) -> None:
+    """Files round; what they hold is still a rotation, and so are all products of it."""
+    exact = so3_exp(v)
+    pose = RigidTransform(np.round(exact, 6), np.zeros(3))
+    assert rotation_angle(pose.rotation.T @ exact) < 2e-6
+    for rotation in (pose.inverse().rotation, (pose @ pose @ pose).rotation):
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
 
 
 def test_a_transform_cannot_be_changed_from_outside() -> None:

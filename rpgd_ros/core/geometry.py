@@ -18,7 +18,8 @@ Column = NDArray[np.floating[Any]]  # single or double precision
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-ORTHONORMAL_TOLERANCE = 1e-6  # a rotation read from a file with six decimals must pass
+ORTHONORMAL_TOLERANCE = 3e-6  # a rotation of six decimals is off by up to 1.7e-6
+ORTHONORMAL_ROUNDING = 1e-12  # beyond it the nearest rotation is taken: products must stay ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +55,8 @@ class RigidTransform:
         if np.linalg.det(rotation) < 0.0:
             msg = 'rotation is a reflection (det < 0): are the axes left-handed?'
             raise ValueError(msg)
+        if error > ORTHONORMAL_ROUNDING:
+            rotation = nearest_rotation(rotation)
         rotation.setflags(write=False)
         translation.setflags(write=False)
         object.__setattr__(self, 'rotation', rotation)
