@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rpgd_ros.core.examine import TIME_BLOCKS
 from rpgd_ros.core.geometry import Array
 
 if TYPE_CHECKING:
     from rpgd_ros.core.refine import Descent
     from rpgd_ros.core.unknowns import Solution
 
+# A detector's joint against MoCap's. It shows between three joints or more; one or two could all
+# be off alike.
+JOINT_BIAS_M, LEAST_JOINTS = 0.02, 3
 RELATIVE_FLOOR = 1e-12  # of the variances: keeps what invert floored factorable after rounding
 
 
@@ -29,8 +33,9 @@ def covariances(
     A detector's joint is not the MoCap's joint, and the difference does not average out over
     frames. So the pull of the residuals is also summed per joint, and its spread between joints
     gives a clustered covariance; the first result is at least as large as that and as the one of
-    independent errors. The second is from the spread between stretches of time: it grows when
-    errors last, as those of a detector that follows somebody else.
+    independent errors. Of fewer than three joints the difference is taken to be 2 cm. The second
+    is from the spread between stretches of time: it grows when errors last,
+    as those of a detector that follows somebody else.
 
     Args:
         descent: The end of the refinement.
@@ -59,6 +64,9 @@ def covariances(
     else:
         about_pivot = solution.covariance[:6, :6]
         by_time = solution.covariance_over_time[:6, :6]
+    n_joints = int(np.any(seen.joint_scores != 0.0, axis=1).sum())
+    if n_joints < LEAST_JOINTS:
+        about_pivot = larger(about_pivot, of_few_joints(inverse, max(n_joints, 1)))
     if systematic is not None:
         about_pivot = about_pivot + systematic
     return moved(about_pivot), moved(by_time)
@@ -71,8 +79,25 @@ def between_groups(scores: Array) -> Array:
     numbers of a rotation or a position.
     """
     n = int(np.any(scores != 0.0, axis=1).sum())
-    widened: Array = spread_between(scores) * (n - 1) / max(n - 5, 1 + (n - 1) / 3)
+    widened: Array = spread_between(scores) * max(1.0, (n - 1) / max(n - 5, 1 + (n - 1) / 3))
     return widened
+
+
+def of_few_joints(inverse: Array, n_joints: int) -> Array:
+    """Covariance of a pose whose few joints are all off by `JOINT_BIAS_M`.
+
+    Its position is as wrong as that many points seen once. Its rotation comes from points far
+    apart in the room, between which the bias turns with the body: it averages over the walk.
+
+    Args:
+        inverse: (6, 6) covariance of independent errors, about the centroid.
+        n_joints: How many joints were seen.
+
+    """
+    per_point = 3.0 * JOINT_BIAS_M**2 / float(np.trace(inverse[3:, 3:])) / n_joints
+    averaged = np.repeat([1.0 / np.sqrt(TIME_BLOCKS), 1.0], 3)
+    out: Array = inverse * per_point * np.outer(averaged, averaged)
+    return out
 
 
 def spread_between(scores: Array) -> Array:
