@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from rpgd_ros.core import (
     RigidTransform,
     calibrate,
 )
+from rpgd_ros.core.agreement import chance
 from rpgd_ros.core.config import RigConfig
 from rpgd_ros.core.geometry import so3_exp
 from rpgd_ros.simulation import Twin
@@ -126,3 +128,17 @@ def test_camera_with_three_wrong_keypoints_is_lost_and_not_moved() -> None:
     found = calibrate(case.cameras, replace(case.observations, views=tuple(views)))
     assert found.disagreements == ()
     assert scenes.errors(found.world_T_mocap, case.truth.world_T_mocap, case.observations)[0] < 0.1
+
+
+@pytest.mark.parametrize('free', [3, 5, 8, 11, 26, 120])
+def test_the_level_of_chance_is_what_chance_exceeds_once_in_10_000(free: int) -> None:
+    """The upper quantile of F(6, free), by a sum of its density."""
+    x = np.exp(np.linspace(np.log(chance(free)), np.log(chance(free)) + 16.0, 200_001))
+    log_beta = math.lgamma(3.0) + math.lgamma(free / 2) - math.lgamma(3.0 + free / 2)
+    ratio = 6.0 / free
+    density = np.exp(
+        3.0 * np.log(ratio) + 2.0 * np.log(x) - log_beta
+        - 0.5 * (6 + free) * np.log1p(ratio * x)
+    )  # fmt: skip
+    share = float((0.5 * (density[1:] + density[:-1]) * np.diff(x)).sum())
+    assert share == pytest.approx(1e-4, rel=0.1)

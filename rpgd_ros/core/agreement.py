@@ -7,6 +7,7 @@ than the joints' own disagreement allows, the camera was bumped, or its extrinsi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -96,8 +97,7 @@ def disagreements(
         centroid_mocap: (3,) pivot of its parameters, metres.
 
     """
-    scores = descent.examination.camera_scores
-    active = [v for v in range(len(sights)) if np.any(scores[v]) or sights[v].view.n_frames]
+    active = list(range(len(sights)))
     if len(active) < 2 or not lasts_long(sights):
         return []
     views = {v: _linear(descent, v) for v in active}
@@ -265,5 +265,5 @@ def _compare(
 
 
 def chance(free: int) -> float:
-    """Value that F(6, free) exceeds once in 10 000 times; within 10 %, on the large side."""
-    return 4.6 * (1.0 + 13.0 / free + 120.0 / free**2)
+    """Value that F(6, free) exceeds once in 10 000 times; from 3 on within -1.3 and +6 %."""
+    return 4.64 * math.exp((12.0 + 10.0 / (free + 0.5)) / free)
