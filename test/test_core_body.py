@@ -8,9 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from core_cases import sights_of
-from scenes import scene
+from scenes import errors, scene
 
-from rpgd_ros.core import CalibrationError, Observations, Reason, View, calibrate
+from rpgd_ros.core import (
+    CalibrationConfig,
+    CalibrationError,
+    Observations,
+    Reason,
+    View,
+    calibrate,
+)
 from rpgd_ros.core.body import Body
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
@@ -127,3 +134,18 @@ def test_nobody_at_all_is_said_plainly() -> None:
         CalibrationError, match='no joint was seen by MoCap and camera at the same'
     ):
         calibrate(case.cameras, with_skeleton_in(case, slice(0, 0)))
+
+
+def test_short_visit_in_a_long_recording_is_found() -> None:
+    """A second of a walk, between the frames that are looked at of an empty film."""
+    case, start, n_frames = scene('human36m', 60, 1), 10_040, 20_000
+    views = []
+    for view in case.observations.views:
+        x = np.full((n_frames, *view.x_mocap.shape[1:]), np.nan)
+        uv = np.full((n_frames, *view.uv.shape[1:]), np.nan)
+        x[start : start + 60], uv[start : start + 60] = view.x_mocap, view.uv
+        views.append(View(None, x, uv))
+    for config in (CalibrationConfig(), CalibrationConfig.paper()):
+        found = calibrate(case.cameras, Observations(tuple(views)), config=config)
+        _, error_m = errors(found.world_T_mocap, case.truth.world_T_mocap, case.observations)
+        assert error_m < 0.003

@@ -8,10 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from core_cases import small_problem
 from scenes import mpjpe_px, scene
 
-from rpgd_ros.core import Calibration, CalibrationConfig, CalibrationError, Reason, calibrate
+from rpgd_ros.core import (
+    Calibration,
+    CalibrationConfig,
+    CalibrationError,
+    Reason,
+    View,
+    calibrate,
+)
 from rpgd_ros.core.config import AcceptConfig
+from rpgd_ros.core.examine import QUANTILE_SAMPLE, examine
+from rpgd_ros.core.linearise import Sight
+from rpgd_ros.core.noise import SquaredLoss
 from rpgd_ros.core.quality import refuse
 from rpgd_ros.simulation import Twin
 
@@ -145,3 +156,18 @@ def test_the_report_names_the_camera_that_agrees_least() -> None:
     config = CalibrationConfig(accept=AcceptConfig(min_inlier_ratio=0.5))
     with pytest.raises(CalibrationError, match=r'least in camera cam[013]: 0\.\d %'):
         calibrate(case.cameras, replace(case.observations, views=tuple(views)), config=config)
+
+
+def test_median_residual_is_that_of_all_joints() -> None:
+    """However the number of joints divides that of the frames, of which not all are looked at."""
+    sights, pose = small_problem(noise_px=1.0)
+    view = sights[0].view
+    often = (QUANTILE_SAMPLE // view.n_frames, 1, 1)  # every n_joints-th residual is looked at
+    uv = np.tile(view.uv, often)
+    uv[:, 0] += 100.0
+    many = View(None, np.tile(view.x_mocap, often), uv)
+    seen = examine(
+        [Sight(sights[0].camera, many)], pose, np.zeros(3), SquaredLoss(), threshold_px=5.0
+    )
+    assert float(np.median(seen.tally.sample_px)) < 2.0
+    assert float(np.quantile(seen.tally.sample_px, 0.95)) > 50.0

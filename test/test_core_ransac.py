@@ -15,10 +15,11 @@ from scenes import errors, only, perfect, scene
 
 from rpgd_ros.core import CalibrationError, Reason, RigidTransform, View
 from rpgd_ros.core.config import RansacConfig
-from rpgd_ros.core.geometry import Array, so3_exp
+from rpgd_ros.core.geometry import Array, rotation_angle, so3_exp
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.pool import Pool, make_pool
 from rpgd_ros.core.ransac import (
+    COARSE_POINTS,
     count_inliers,
     draw_triplets,
     published,
@@ -273,3 +274,17 @@ def test_a_line_of_points_has_no_start() -> None:
     with pytest.raises(CalibrationError, match='triplets gave a pose with an inlier') as refused:
         published([sight], RansacConfig(threshold_px=5.0, iterations=50), rng(), check=keep_going)
     assert refused.value.reason is Reason.TOO_FEW_INLIERS
+
+
+def test_first_ranking_hears_every_joint() -> None:
+    """A pool that is all there has its joints in turn: one that is all wrong is one of seven."""
+    (camera, *_), n_frames = small_rig(), 2 * COARSE_POINTS // 7 * 4 - 1
+    truth = RigidTransform(so3_exp([0.3, -1.0, 0.5]), np.array([0.2, 0.1, -0.3]))
+    x = truth.inverse() @ rng().uniform(-0.7, 0.7, (n_frames, 7, 3))
+    sight = make_sight(camera, truth, x, rng(1).normal(0.0, 1.0, (n_frames, 7, 2)))
+    sight.view.uv[:, 0] = rng(2).uniform(0.0, 1000.0, (n_frames, 2))
+    for seed in range(8):
+        start = robust_start([sight], RansacConfig(), rng(seed), check=keep_going)
+        assert start.drawn < 500
+        found = start.candidates[0].world_T_mocap
+        assert rotation_angle(found.rotation.T @ truth.rotation) < 0.03

@@ -10,7 +10,7 @@ import numpy as np
 
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.geometry import Array, BoolArray
-from rpgd_ros.core.thin import spread
+from rpgd_ros.core.thin import at_seen_frames
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,14 +96,8 @@ class Body:
 def _sampled_joints(sight: Sight, n_cameras: int) -> Array:
     """(m, J, 3) joints of this camera's part of some frames, NaN where no correspondence is."""
     wanted = max(BODY_FRAMES // n_cameras, BODY_FRAMES_PER_CAMERA)
-    view = sight.at_frames(spread(sight.view.n_frames, wanted)).view
-    seen = view.seen()
-    if seen.any(1).sum() < wanted // 2:
-        # Mostly nobody in view: look for the frames that somebody is.
-        frames = np.flatnonzero(sight.view.seen().any(1))
-        view = sight.at_frames(frames[spread(len(frames), wanted)]).view
-        seen = view.seen()
-    return np.where(seen[..., None], view.x_mocap, np.nan)
+    view = at_seen_frames(sight, wanted).view
+    return np.where(view.seen()[..., None], view.x_mocap, np.nan)
 
 
 def _finite(x: Array) -> BoolArray:

@@ -12,7 +12,7 @@ from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.pool import make_pool
 from rpgd_ros.core.ransac import draw_triplets, rank, robust_start, solve_triplets
-from rpgd_ros.core.thin import spread
+from rpgd_ros.core.thin import at_seen_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -88,7 +88,7 @@ def swapped_joints(
     n_joints = sights[0].view.n_joints
     hits, counts = np.zeros((2, n_joints, n_joints))
     for sight in sights:
-        part = sight.at_frames(spread(sight.view.n_frames, SWAP_FRAMES))
+        part = at_seen_frames(sight, SWAP_FRAMES)
         seen = part.view.seen()[..., None]
         x, uv = np.where(seen, part.view.x_mocap, np.nan), np.where(seen, part.view.uv, np.nan)
         projected = part.camera.project_camera((part.camera_T_world @ pose) @ x)

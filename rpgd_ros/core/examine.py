@@ -99,7 +99,7 @@ def examine(
     Args:
         sights: Cameras with their data.
         pose: world_T_mocap.
-        pivot_world: (3,) pivot of the parameters, metres, see `linearise`.
+        pivot_world: (3,) pivot of the parameters, metres, see `normal`.
         loss: Loss of the squared residual.
         threshold_px: Residual below which a correspondence is an inlier, beside what the noise
             of its 3D joint adds.
@@ -141,7 +141,7 @@ def per_block(of_frame: Column, block: IntArray) -> Array:
 
 
 def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:
-    """Number each camera's frames by stretch of time, common to all: (F,), 0 to TIME_BLOCKS."""
+    """Number each camera's frames by stretch of time, common to all: (F,), below TIME_BLOCKS."""
     times = [
         np.linspace(0.0, 1.0, s.view.n_frames) if s.view.stamp_ns is None else s.view.stamp_ns
         for s in sights
@@ -167,10 +167,11 @@ class _Book:
 
     def enter(self, camera: int, res: Residuals, near: BoolArray, far: BoolArray) -> None:
         """Add one chunk of whole frames, with its inliers and those far from being one."""
-        r = np.sqrt(res.squared)
-        kept = slice(None, None, self._stride)
-        self._sample.append(r[kept][res.in_view[kept]])
         frames = (-1, self._sums.shape[2])
+        errors = [x.reshape(frames) for x in (np.sqrt(res.squared), res.du, res.dv)]
+        # Whole frames: a stride over points would meet some of the joints only.
+        kept = slice(None, None, self._stride)
+        self._sample.append(errors[0][kept][res.in_view.reshape(frames)[kept]])
         is_seen, is_near, is_far = (
             m.reshape(frames).astype(np.float32) for m in (res.in_view, near, res.in_view & far)
         )
@@ -180,7 +181,6 @@ class _Book:
             np.count_nonzero(n_seen),
             np.count_nonzero(2 * n_far > n_seen),
         ]
-        errors = [column.reshape(frames) for column in (r, res.du, res.dv)]
         self._sums[:, camera] += [
             np.einsum('fj->j', is_seen),
             np.einsum('fj->j', is_near),

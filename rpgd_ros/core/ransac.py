@@ -29,6 +29,7 @@ from rpgd_ros.core.geometry import (
 from rpgd_ros.core.linearise import residuals
 from rpgd_ros.core.polish import Candidate, polish
 from rpgd_ros.core.pool import Pool, make_pool
+from rpgd_ros.core.thin import drawn_evenly
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -93,14 +94,14 @@ def robust_start(
 
     """
     pool = make_pool(sights, max(POOL_POINTS_PER_CAMERA, POOL_POINTS // len(sights)), rng)
-    coarse = pool.take(np.arange(0, len(pool), max(1, len(pool) // COARSE_POINTS)))
+    coarse = pool.take(drawn_evenly(len(pool), COARSE_POINTS, rng))
     kept = Ranked(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
     candidates: list[Candidate] = []
-    drawn, share, is_same = 0, 0.0, config.sampling == 'same_frame'
+    drawn, share, same_frame = 0, 0.0, config.sampling == 'same_frame'
     while drawn < config.iterations:
         check(drawn / config.iterations)
         count = min(BATCHES[drawn > 0], config.iterations - drawn)
-        triplets = draw_triplets(pool, count, rng, same_frame=is_same)
+        triplets = draw_triplets(pool, count, rng, same_frame=same_frame)
         drawn += len(triplets)
         kept = _merge(kept, rank(coarse, *solve_triplets(pool, triplets)))
         if not len(kept.score):
@@ -165,7 +166,7 @@ def draw_triplets(
 ) -> IntArray:
     """Draw (count, 3) distinct points of one camera, and of one of its frames if asked.
 
-    Cameras take turns, so that each is heard.
+    Cameras take turns, so that each is heard; of frames, any is drawn, as published.
 
     Raises:
         CalibrationError: No camera (and frame) has three points.

@@ -17,7 +17,7 @@ from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.pool import make_pool
 from rpgd_ros.core.ransac import draw_triplets, rank, solve_triplets
-from rpgd_ros.core.thin import spread
+from rpgd_ros.core.thin import at_seen_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,7 +45,7 @@ def coarse_offset(
         check: Called with the fraction done; raises to end the run.
 
     """
-    sight = sight.at_frames(spread(sight.view.n_frames, FRAMES))
+    sight = at_seen_frames(sight, FRAMES)
     half = int(span_s / GRID_S)
     grid = np.linspace(-half * GRID_S, half * GRID_S, 2 * half + 1)
     score = _scores(sight, timeline, grid, TRIPLETS, rng, check)
