@@ -122,7 +122,7 @@ def test_adam_reaches_the_optimum_of_the_squared_loss(shape: str) -> None:
     centre = np.asarray(sights[0].view.x_mocap.mean((0, 1)))
     start = apply_delta(truth, np.array([8, -6, 8, 10, -10, 10]) * 1e-3, truth @ centre)
     config = RefineConfig(method='adam', loss='squared', iterations=300)
-    best = descend(sights, truth, centre, SquaredLoss(), max_steps=50, check=keep_going)[0]
+    best = descend(sights, truth, centre, SquaredLoss(), max_steps=50, check=keep_going)
     found = adam(sights, start, config, SquaredLoss(), check=keep_going)
     optimum = cost_at(sights, best, SquaredLoss())
     assert cost_at(sights, found, SquaredLoss()) <= 1.001 * optimum
@@ -143,7 +143,7 @@ def test_no_descent_ends_above_its_start(
     loss = SquaredLoss() if is_squared else NOISE
     start = apply_delta(truth, scale * np.array(turn), truth @ CENTRE)
     before = cost_at(sights, start, loss) * (1.0 + 1e-6) + 1e-6
-    pose, _ = descend(sights, start, CENTRE, loss, max_steps=max_steps, check=keep_going)
+    pose = descend(sights, start, CENTRE, loss, max_steps=max_steps, check=keep_going)
     assert cost_at(sights, pose, loss) <= before
     end = finish(sights, start, CENTRE, loss, max_steps=max_steps, threshold_px=6.0,
                  check=keep_going)  # fmt: skip
@@ -247,7 +247,29 @@ def test_a_robust_descent_is_not_pulled_by_gross_errors() -> None:
     truth, centre = case.truth.world_T_mocap, sights[0].view.x_mocap.mean((0, 1))
     noise = NoiseModel(sigma_px=1.0, nu=15.0, share=0.66, background=3e-7)
     start = apply_delta(truth, np.full(6, 3e-3), truth @ centre)
-    pose, _ = descend(spoiled, start, centre, noise, max_steps=50, check=keep_going)
+    pose = descend(spoiled, start, centre, noise, max_steps=50, check=keep_going)
     angle_deg, shift_m = errors(pose, truth, case.observations)
     assert angle_deg < 0.03
     assert shift_m < 1e-3
+
+
+def test_finish_ends_where_nothing_pulls() -> None:
+    """Its last step costs no pass: what is left is far below what it promises."""
+    for seed in range(8):
+        sights, truth = small_problem(seed, noise_px=2.0)
+        start = apply_delta(truth, np.full(6, 0.01), truth @ CENTRE)
+        end = finish(sights, start, CENTRE, NOISE, max_steps=50, threshold_px=6.0,
+                     check=keep_going)  # fmt: skip
+        there = normal_equations(sights, end.pose, end.pose @ CENTRE, NOISE)
+        _, left = newton_step(there.hessian, there.information, there.gradient)
+        assert left < 1e-8
+        assert end.is_converged
+
+
+def test_the_rate_of_adam_falls_from_the_whole_to_nearly_nothing() -> None:
+    """One step is a whole one: by the rate, against the sign of the gradient."""
+    sights, truth = small_problem()
+    start = RigidTransform(truth.rotation, truth.translation + 0.3)
+    config = RefineConfig(method='adam', loss='squared', iterations=1, lr_translation=0.01)
+    moved = adam(sights, start, config, SquaredLoss(), check=keep_going)
+    np.testing.assert_allclose(np.abs(moved.translation - start.translation), 0.01, rtol=1e-6)

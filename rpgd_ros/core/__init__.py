@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The method: numpy and the standard library, pure functions, no I/O, no clock, no ROS."""
+"""The method: numpy, OpenCV and the standard library, pure functions, no I/O, no clock, no ROS."""
 
 from rpgd_ros.core.calibrate import calibrate
 from rpgd_ros.core.camera import Camera

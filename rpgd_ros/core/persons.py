@@ -181,9 +181,8 @@ def _refined(
     centroid = np.nanmedian(x, 0)
     track = observations.mocap
     if config.time.estimate_offset == 'off' or track is None or len(track.stamp_ns) < 2:
-        pose, _ = descend(
-            middle, pose, centroid, noise, max_steps=config.refine.iterations, check=check
-        )
+        steps = config.refine.iterations
+        pose = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
         return pose, noise_at(middle, pose), None
     problem = Problem(middle, Timeline(track), None, centroid)
     n = len(middle)

@@ -239,10 +239,9 @@ def rival_ratio(pool: Pool, candidates: Sequence[Candidate]) -> float:
     if len(candidates) < 2:
         return np.inf
     limit = candidates[0].noise.threshold_px ** 2
-    poses = [c.world_T_mocap for c in candidates[:2]]
-    squared = pool.squared_residuals(
-        np.stack([p.rotation for p in poses]), np.stack([p.translation for p in poses])
-    )
+    rotations = np.stack([c.world_T_mocap.rotation for c in candidates[:2]])
+    translations = np.stack([c.world_T_mocap.translation for c in candidates[:2]])
+    squared = pool.squared_residuals(rotations, translations)
     explained = np.minimum(squared, limit)[:, (squared < limit).any(0)].sum(1)
     return float(explained[1] / max(explained[0], 1e-12))
 

@@ -44,7 +44,7 @@ class Descent:
 
     Attributes:
         pose: world_T_mocap.
-        normal: Sums where the last step began.
+        normal: Sums where the last full step began, whose Hessian all figures use.
         examination: A look at `pose`, or at where the last step began if that was within
             `LAST_STEP`.
         is_converged: Whether the remaining step is negligible.
@@ -60,8 +60,10 @@ class Descent:
 def descend(
     sights: Sequence[Sight], pose: RigidTransform, centroid_mocap: Array, loss: Loss,
     *, max_steps: int, check: Callable[[float], None],
-) -> tuple[RigidTransform, Normal]:  # fmt: skip
-    """Go to the nearest optimum of a loss by Newton's method; the cost never rises.
+) -> RigidTransform:  # fmt: skip
+    """Go to the nearest optimum of a loss by Newton's method.
+
+    The cost never rises, but for the last step, which is too short for a look to be worth a pass.
 
     Args:
         sights: Cameras with their data.
@@ -72,7 +74,7 @@ def descend(
         check: Called with the fraction done; raises to end the run.
 
     Returns:
-        The pose after the last step, and the sums where that step began.
+        The pose after the last step.
 
     """
     pivot = pose @ centroid_mocap
@@ -83,7 +85,7 @@ def descend(
         delta, decrement = newton_step(normal.hessian, normal.information, normal.gradient)
         moved = apply_delta(pose, shrink * delta, pivot)
         if decrement < GOOD_STEP and shrink == 1.0:
-            return moved, normal
+            return moved
         there_pivot = moved @ centroid_mocap
         there = normal_equations(sights, moved, there_pivot, loss)
         if there.cost <= normal.cost * (1.0 + COST_ROUNDING):
@@ -92,7 +94,7 @@ def descend(
             break
         else:
             shrink *= 0.5
-    return pose, normal
+    return pose
 
 
 def finish(
@@ -213,13 +215,14 @@ def adam(
     rate = np.array([config.lr_rotation] * 3 + [config.lr_translation] * 3)
     first, second = np.zeros(6), np.zeros(6)
     b1, b2 = ADAM_BETA
-    before, _ = published_gradient(sights, x[:3], x[3:], loss)
+    before, gradient = published_gradient(sights, x[:3], x[3:], loss)
+    after = before
     for k in range(1, config.iterations + 1):
         check(k / config.iterations)
-        _, gradient = published_gradient(sights, x[:3], x[3:], loss)
         first = b1 * first + (1.0 - b1) * gradient
         second = b2 * second + (1.0 - b2) * gradient**2
-        annealed = 0.5 * rate * (1.0 + np.cos(np.pi * k / config.iterations))
+        # From the full rate: the step at zero would be the one after the last.
+        annealed = 0.5 * rate * (1.0 + np.cos(np.pi * (k - 1) / config.iterations))
         x -= annealed * (first / (1.0 - b1**k)) / (np.sqrt(second / (1.0 - b2**k)) + ADAM_EPSILON)
-    after, _ = published_gradient(sights, x[:3], x[3:], loss)
+        after, gradient = published_gradient(sights, x[:3], x[3:], loss)
     return RigidTransform(euler_zyx_with_derivatives(x[:3])[0], x[3:]) if after < before else pose
