@@ -118,3 +118,45 @@ def check_progress(case: Twin, config: CalibrationConfig) -> Calibration:
         assert fractions[0] >= 0.0
         assert fractions[-1] <= 1.0
     return found
+
+
+def test_placing_a_moved_camera_again_can_be_cancelled() -> None:
+    """The solve of the camera alone is a part of the run, and its end is the run's."""
+    case = scene('human36m', 300, 1)
+    pose = case.cameras[2].camera_T_world
+    assert pose is not None
+    bumped = RigidTransform(so3_exp([0.05, 0.0, 0.0]), np.array([0.0, 0.1, 0.0])) @ pose
+    cameras = list(case.cameras)
+    cameras[2] = replace(cameras[2], camera_T_world=bumped)
+    asked, n_asked = 0, {'exclude': 0, 're-estimate': 0}
+    for choice in ('exclude', 're-estimate'):
+        asked = 0
+
+        def count() -> bool:
+            nonlocal asked
+            asked += 1
+            return False
+
+        config = CalibrationConfig(rig=RigConfig(on_bumped_camera=choice))
+        calibrate(cameras, case.observations, config=config, should_stop=count)
+        n_asked[choice] = asked
+    assert n_asked['re-estimate'] > n_asked['exclude'] + 2
+    asked = 0
+
+    def should_stop() -> bool:
+        nonlocal asked
+        asked += 1
+        return asked > n_asked['exclude'] + 1
+
+    with pytest.raises(CalibrationError) as refused:
+        calibrate(cameras, case.observations, config=config, should_stop=should_stop)
+    assert refused.value.reason is Reason.CANCELLED
+
+
+def test_result_names_the_seed_that_was_used() -> None:
+    """Whether it came with the settings or beside them."""
+    case = scene('human36m', 60, 2)
+    found = calibrate(case.cameras, case.observations, seed=7)
+    assert found.config.ransac.seed == 7
+    again = calibrate(case.cameras, case.observations, config=found.config)
+    np.testing.assert_array_equal(again.world_T_mocap.matrix, found.world_T_mocap.matrix)

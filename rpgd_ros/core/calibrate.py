@@ -67,17 +67,18 @@ def calibrate(
 
     """
     config = config or CalibrationConfig()
+    if seed is not None:
+        config = replace(config, ransac=replace(config.ransac, seed=seed))
     run = Run(progress, should_stop, clock, clock(), config.max_seconds)
-    seed = config.ransac.seed if seed is None else seed
-    solved = solve(cameras, observations, config, seed, run)
+    solved = solve(cameras, observations, config, run)
     if config.rig.on_bumped_camera != 'name':
-        solved = _without_moved(solved, cameras, observations, seed, run)
+        solved = _without_moved(solved, cameras, observations, run)
     _pass_gates(solved, run)
     return solved.calibration
 
 
 def _without_moved(
-    solved: Solved, cameras: Sequence[Camera], observations: Observations, seed: int, run: Run
+    solved: Solved, cameras: Sequence[Camera], observations: Observations, run: Run
 ) -> Solved:
     """Solve again without the cameras that were moved, the worst first, one at a time.
 
@@ -94,9 +95,8 @@ def _without_moved(
         out = {d.camera for d in named}
         kept = [v for v, camera in enumerate(cameras) if camera.name not in out]
         views = tuple(observations.views[v] for v in kept)
-        solved = solve(
-            [cameras[v] for v in kept], replace(observations, views=views), whole.config, seed, run
-        )
+        rest = [cameras[v] for v in kept]
+        solved = solve(rest, replace(observations, views=views), whole.config, run)
     if not named:
         return solved
     views_of = dict(zip((c.name for c in cameras), observations.views, strict=True))
@@ -110,15 +110,13 @@ def _without_moved(
         since_s = None if rise is None else rise.since_s
         dated.append(replace(moved, since_s=since_s))
         if whole.config.rig.on_bumped_camera == 're-estimate':
-            pose = _placed(sight, since_s, solved.calibration, seed)
+            pose = _placed(sight, since_s, solved.calibration, run)
             poses.update({} if pose is None else {moved.camera: pose})
     calibration = with_excluded(solved.calibration, whole, dated)
     return solved._replace(calibration=replace(calibration, camera_poses=poses))
 
 
-def _placed(
-    sight: Sight, since_s: float | None, rest: Calibration, seed: int
-) -> CameraPose | None:
+def _placed(sight: Sight, since_s: float | None, rest: Calibration, run: Run) -> CameraPose | None:
     """Find where a camera that was moved is now, by what it saw since; None where it cannot be."""
     stamp_ns = sight.view.stamp_ns
     if since_s is not None and stamp_ns is not None:
@@ -129,9 +127,13 @@ def _placed(
         joint_offsets=False),
     )  # fmt: skip
     try:
-        own = calibrate([camera], Observations((sight.view,)), config=plain, seed=seed)
-    except CalibrationError:
+        solved = solve([camera], Observations((sight.view,)), plain, run)
+        _pass_gates(solved, run)
+    except CalibrationError as refusal:
+        if refusal.reason is Reason.CANCELLED:
+            raise
         return None
+    own = solved.calibration
     return through_world(
         own.world_T_mocap, own.covariance, rest.world_T_mocap, rest.covariance, own.centroid_mocap
     )

@@ -75,14 +75,13 @@ class Solved(NamedTuple):
 
 
 def solve(
-    cameras: Sequence[Camera], observations: Observations, config: CalibrationConfig,
-    seed: int, run: Run,
-) -> Solved:  # fmt: skip
+    cameras: Sequence[Camera], observations: Observations, config: CalibrationConfig, run: Run
+) -> Solved:
     """Start, refine and collect the figures."""
     sights = _sights(cameras, observations)
     body = Body.of(sights)
     body.check()
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(config.ransac.seed)
     centroid = body.centre
     details: Details | None = None
     if config.ransac.score == 'inliers':
@@ -159,10 +158,10 @@ def _refine(
     if refine.method == 'newton' and refine.loss == 'robust':
         # The noise is fitted on a part of the data, where the pose is already at its optimum.
         middle = thin(sights, MIDDLE_POINTS)
-        pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
+        pose = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
         noise = noise_at(middle, pose, with_joints=refine.joint_noise)
         if noise.joint_sigma_m:
-            pose, _ = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
+            pose = descend(middle, pose, centroid, noise, max_steps=steps, check=check)
             noise = noise_at(middle, pose, with_joints=True)
     loss: Loss = SquaredLoss() if refine.loss == 'squared' else noise
     threshold_px = config.ransac.threshold_px or noise.threshold_px
