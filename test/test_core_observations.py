@@ -125,3 +125,25 @@ def test_only_numbers_of_this_world_are_seen(damage: float) -> None:
     with np.errstate(all='raise'):
         seen = View(None, x, uv).seen()
     np.testing.assert_array_equal(seen, [[False, False, True], [True, True, True]])
+
+
+@pytest.mark.parametrize(
+    ('view', 'words'),
+    [
+        (View(np.arange(3), X, UV[0]), r'stamps of view 1 must be \(4,\), got \(3,\)'),
+        (View(None, X, UV[0], np.ones((4, 2))), r'confidence of view 1 must be \(4, 3\)'),
+        (View(None, X, np.zeros(4)), 'view 1 has skeletons'),
+    ],
+)
+def test_views_that_do_not_fit_are_refused(view: View, words: str) -> None:
+    """Each part of a view is one per frame and joint."""
+    with pytest.raises(InputError, match=words):
+        Observations((View(None, X, UV[0]), view))
+    with pytest.raises(InputError, match=words.replace('1', '0', 1)):
+        Observations((view,))
+
+
+def test_track_of_other_joints_is_refused() -> None:
+    """It would be read at the joints of the views."""
+    with pytest.raises(InputError, match=r'skeletons of the MoCap track must be \(5, 3, 3\)'):
+        Observations((View(None, X, UV[0]),), MocapTrack(np.arange(5), np.zeros((5, 4, 3))))

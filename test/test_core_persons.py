@@ -227,6 +227,9 @@ def test_cameras_of_other_skeletons_are_no_crowd() -> None:
     for shape in ((5, 1, 4, 3), (5, 2, 3, 3), (6, 2, 4, 3), (5, 2, 4)):
         with pytest.raises(InputError, match=r'view 1 has skeletons .* of the other views'):
             Crowd((one, replace(one, x_mocap=np.zeros(shape))))
+    for part in ({'confidence': np.ones((5, 3, 3))}, {'stamp_ns': np.arange(4)}):
+        with pytest.raises(InputError, match='of view 0 must be'):
+            Crowd((replace(one, **part),))
 
 
 def test_nobody_in_view_is_said() -> None:
@@ -239,6 +242,11 @@ def test_nobody_in_view_is_said() -> None:
     assert caught.value.reason is Reason.NO_DATA
     with pytest.raises(InputError):
         pick_persons([], crowd)
+    x = np.zeros((5, 4, 3))
+    nobody = Crowd.from_arrays(x, np.zeros((len(recording.cameras), 5, 0, 4, 2)), fps=10.0)
+    with pytest.raises(CalibrationError) as caught:
+        pick_persons(recording.cameras, nobody)
+    assert caught.value.reason is Reason.NO_DATA
 
 
 def test_skeletons_follow_each_other_in_time() -> None:

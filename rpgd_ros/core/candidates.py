@@ -11,11 +11,13 @@ import numpy as np
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 from rpgd_ros.core.observations import (
-    LARGEST_COORDINATE,
     NS_PER_S,
     MocapTrack,
     Observations,
     View,
+    check_names,
+    check_shape,
+    is_there,
 )
 
 if TYPE_CHECKING:
@@ -51,11 +53,7 @@ class CrowdView:
 
     def there(self) -> tuple[BoolArray, BoolArray]:
         """(F, S, J) and (F, P, J) whether joints and keypoints are there and are numbers."""
-        with np.errstate(invalid='ignore', over='ignore'):
-            return (
-                np.abs(self.x_mocap).max(-1) < LARGEST_COORDINATE,
-                np.abs(self.uv).max(-1) < LARGEST_COORDINATE,
-            )
+        return is_there(self.x_mocap), is_there(self.uv)
 
     def at_frames(self, frames: IntArray) -> CrowdView:
         """Return a selection of the instants."""
@@ -94,6 +92,9 @@ class Crowd:
                     '(F, P, J, 2) with the S and J of the other views'
                 )
                 raise InputError(Reason.BAD_INPUT, msg)
+            check_shape(f'stamps of view {number}', view.stamp_ns, uv[:1])
+            check_shape(f'confidence of view {number}', view.confidence, uv[:3])
+            check_names(self.joint_names, shape[1])
 
     def of(self, skeletons: tuple[int, ...]) -> Crowd:
         """Return the crowd with some of its skeletons."""
@@ -135,9 +136,8 @@ class Crowd:
                 f'need x_mocap (T, S, J, 3) and uv (V, T, P, J, 2), got {x.shape}, {pixels.shape}'
             )
             raise InputError(Reason.BAD_INPUT, msg)
-        timed = Observations.from_arrays(
-            x[:, 0], pixels[:, :, 0], fps=fps, stamps=stamps, joint_names=joint_names
-        )
+        nobody = np.empty((0, *x.shape[:1], x.shape[2], 2))
+        timed = Observations.from_arrays(x[:, 0], nobody, fps=fps, stamps=stamps)
         stamp_ns = timed.mocap.stamp_ns if timed.mocap else None
         tracks = () if stamp_ns is None else tuple(
             MocapTrack(stamp_ns, x[:, s]) for s in range(x.shape[1])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,22 +105,25 @@ class Observations:
     def __post_init__(self) -> None:
         """Check once, at the border, so that no sum over the data needs to."""
         for number, view in enumerate(self.views):
-            shape = (view.uv.shape[0], self.n_joints)
+            shape = (len(view.uv), self.n_joints)
             if view.uv.shape != (*shape, 2) or view.x_mocap.shape != (*shape, 3):
                 msg = (
                     f'view {number} has skeletons {view.x_mocap.shape} and keypoints '
                     f'{view.uv.shape}, need (F, {self.n_joints}, 3) and (F, {self.n_joints}, 2)'
                 )
                 raise InputError(Reason.BAD_INPUT, msg)
-        names = self.joint_names
-        if names is not None and self.views and len(set(names)) != self.n_joints:
-            msg = f'{len(set(names))} different joint names for {self.n_joints} joints'
-            raise InputError(Reason.BAD_INPUT, msg)
+            check_shape(f'stamps of view {number}', view.stamp_ns, shape[:1])
+            check_shape(f'confidence of view {number}', view.confidence, shape)
+        if self.mocap is not None and self.views:
+            track, samples = self.mocap, (len(self.mocap.stamp_ns), self.n_joints, 3)
+            check_shape('skeletons of the MoCap track', track.x_mocap, samples)
+        if self.views:
+            check_names(self.joint_names, self.n_joints)
 
     @property
     def n_joints(self) -> int:
         """Number of joints J."""
-        return self.views[0].uv.shape[1] if self.views else 0
+        return self.views[0].uv.shape[1] if self.views and self.views[0].uv.ndim > 1 else 0
 
     @classmethod
     def from_arrays(
@@ -157,6 +161,30 @@ class Observations:
         )
         track = None if stamp_ns is None else MocapTrack(stamp_ns, x)
         return cls(views, track, joint_names)
+
+
+def check_shape(what: str, values: Array | IntArray | None, shape: tuple[int, ...]) -> None:
+    """Refuse values of another shape than they must have; None is none of them.
+
+    Raises:
+        InputError: They have.
+
+    """
+    if values is not None and values.shape != shape:
+        msg = f'{what} must be {shape}, got {values.shape}'
+        raise InputError(Reason.BAD_INPUT, msg)
+
+
+def check_names(names: Sequence[str] | None, n_joints: int) -> None:
+    """Refuse names that are not one per joint; None is none of them.
+
+    Raises:
+        InputError: They are not.
+
+    """
+    if names is not None and len(set(names)) != n_joints:
+        msg = f'{len(set(names))} different joint names for {n_joints} joints'
+        raise InputError(Reason.BAD_INPUT, msg)
 
 
 def _check_shapes(x: Array, uv: Array, confidence: NDArray[np.float64] | None) -> None:

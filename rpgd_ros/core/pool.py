@@ -15,7 +15,7 @@ import numpy as np
 
 from rpgd_ros.core.camera import MIN_DEPTH
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray
-from rpgd_ros.core.observations import LARGEST_COORDINATE
+from rpgd_ros.core.observations import is_there
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -140,6 +140,4 @@ def _is_seen(sight: Sight, index: IntArray) -> BoolArray:
     """Whether the flat (frame, joint) indices have both sides of a correspondence."""
     frame, joint = np.divmod(index, max(1, sight.view.n_joints))
     x, uv = sight.view.x_mocap[frame, joint], sight.view.uv[frame, joint]
-    seen: BoolArray = np.abs(x).max(-1) < LARGEST_COORDINATE
-    seen &= np.abs(uv).max(-1) < LARGEST_COORDINATE
-    return seen
+    return is_there(x) & is_there(uv)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rpgd_ros.core.geometry import Array, IntArray
-from rpgd_ros.core.observations import LARGEST_COORDINATE, NS_PER_S, MocapTrack, is_there
+from rpgd_ros.core.observations import NS_PER_S, MocapTrack, is_there
 
 if TYPE_CHECKING:
     from rpgd_ros.core.body_frame import BodyFrame
@@ -38,10 +38,8 @@ class Timeline:
         self._is_noisy = is_noisy
         self._origin_ns = int(track.stamp_ns[0])
         self._t = self.seconds(track.stamp_ns)
-        with np.errstate(invalid='ignore'):
-            whole = np.abs(track.x_mocap).max(-1, keepdims=True) < LARGEST_COORDINATE
         # A damaged sample would bend the curve between its neighbours, too.
-        x = np.where(whole, track.x_mocap, np.nan)
+        x = np.where(is_there(track.x_mocap)[..., None], track.x_mocap, np.nan)
         self._x = _evened(x) if is_noisy else x
         self._slope = _slopes(self._t, self._x)
         self._turns: tuple[BodyFrame, Array] | None = None
