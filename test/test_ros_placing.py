@@ -118,11 +118,13 @@ def test_cameras_of_a_kept_result_are_watched_where_it_placed_them(
     assert set(stored.camera_poses) == {camera.name for camera in walk.recording.cameras}
     with live(rig) as node:
         node.play(walk)
-        error = lambda name: node.peer.diagnostics(f'camera {name}').get('error_px', 'nan')  # noqa: E731
+
+        def watched(name: str, key: str) -> float:
+            return float(node.peer.diagnostics(f'camera {name}').get(key, 'nan'))
+
         for name in stored.camera_poses:
-            node.wait_until(f'{name} not watched', lambda n=name: float(error(n)) > 0.0)
-            accepted_px = float(node.peer.diagnostics(f'camera {name}')['accepted_px'])
-            assert float(error(name)) < 1.5 * accepted_px
+            node.wait_until(f'{name} not watched', lambda n=name: watched(n, 'error_px') > 0.0)
+            assert watched(name, 'error_px') < 1.5 * watched(name, 'accepted_px')
         assert 'Attention' not in node.sentence()
 
 

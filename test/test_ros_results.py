@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import TransformStamped
-from ros_live import WAIT_S, answered_bits, assert_close, bits, live
+from ros_live import WAIT_S, answered_bits, assert_close, bits, live, slow
 from ros_scene import Scene
 from std_msgs.msg import Float64
 
 from rpgd_ros.io.result_file import read_result
+from rpgd_ros.ros.client import NODE
 
 
 def test_answer_is_the_published_transform_bit_for_bit(walk: Scene, rig: Path) -> None:
@@ -102,6 +103,59 @@ def test_revert_goes_back_to_the_calibration_before(walk: Scene, rig: Path) -> N
         )
         stored = read_result(rig.parent / 'result.yaml')
         assert stored.world_T_mocap.translation.tolist() == first['xyz']
+
+
+def test_loaded_result_takes_the_place_of_the_accepted_one(walk: Scene, rig: Path) -> None:
+    """No figure of the other one is told, ~/save leaves the file alone, and ~/revert goes back."""
+    path = rig.parent / 'result.yaml'
+    with live(rig) as node:
+        node.advertise(walk.topics)
+        half = len(walk.messages) // 2
+        node.peer.play(walk.messages[:half], rate=8.0)
+        node.wait_until('not counted', lambda: sum(node.received().values()) == half)
+        first = node.calibrate()[1]
+        kept = path.read_bytes()
+        node.peer.play(walk.messages[half:], rate=8.0)
+        node.wait_until('not counted', lambda: sum(node.received().values()) == len(walk.messages))
+        second = node.calibrate()[1]
+        path.write_bytes(kept)
+        assert node.call('load').success
+        node.wait_until(
+            'not published',
+            lambda: bits(node.latched('transform', TransformStamped)) == answered_bits(first),
+        )
+        node.wait_until(
+            'still told', lambda: 'mpjpe_px' not in node.peer.diagnostics('calibration')
+        )
+        assert node.peer.message('calibration') == 'published from the result file'
+        assert 'Calibrated' not in node.sentence()
+        refused = node.call('save')
+        assert not refused.success
+        assert json.loads(refused.message)['reason'] == 'no_data'
+        assert 'result.yaml was loaded' in refused.message
+        assert path.read_bytes() == kept
+        assert node.call('revert').success
+        node.wait_until(
+            'not published',
+            lambda: bits(node.latched('transform', TransformStamped)) == answered_bits(second),
+        )
+        assert read_result(path).world_T_mocap.translation.tolist() == second['xyz']
+        assert node.call('save').success
+
+
+def test_load_waits_for_the_end_of_a_run(walk: Scene, rig: Path) -> None:
+    """What it publishes would be replaced by a run that was begun against another pose."""
+    with live(rig, *slow()) as node:
+        node.play(walk)
+        called = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
+        assert called is not None
+        node.wait_until('not running', lambda: 'Calibrating' in node.sentence())
+        for service in ('load', 'save', 'revert'):
+            refused = node.call(service)
+            assert not refused.success
+            assert json.loads(refused.message)['reason'] == 'busy'
+            assert 'a calibration is running' in refused.message
+        assert not called.done()
 
 
 def test_bad_result_file_does_not_keep_the_node_from_starting(walk: Scene, rig: Path) -> None:

@@ -16,7 +16,7 @@ from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.result_file import StoredResult
 from rpgd_ros.ros.health import in_short
 from rpgd_ros.ros.inputs import LOG_SECONDS
-from rpgd_ros.ros.job import BUSY, STOPPING, Outcome, answer, run
+from rpgd_ros.ros.job import BUSY, SAVING, STOPPING, Outcome, answer, run
 from rpgd_ros.ros.results import Results
 from rpgd_ros.ros.worker import Worker, attempt
 from rpgd_ros.session import Session, Snapshot
@@ -35,8 +35,7 @@ class Engine:
         session: Where the messages went.
         results: What is published.
         monitor: What runs beside the calibrations.
-        last: How the last run ended, None before the first.
-        is_busy: Whether a job is running.
+        last: How the last run ended, None before the first since the start or a load.
         running: What it does.
         n_errors: Exceptions that nobody foresaw, each logged.
 
@@ -65,12 +64,17 @@ class Engine:
         self.results = results
         self.monitor = monitor
         self.last: Outcome | None = None
-        self.is_busy = False
         self.running = ''
         self.n_errors = 0
+        self._at_work: Outcome | None = None  # what is answered while a job runs
         self._node = node
         self._flush = flush
         self._worker = Worker()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a job is running."""
+        return self._at_work is not None
 
     async def calibrate(self, *, is_automatic: bool) -> Outcome:
         """Take a snapshot, solve and save in the worker, publish; refused while a job runs.
@@ -79,8 +83,9 @@ class Engine:
             is_automatic: Whether nobody asked for it: then the published transform may not jump.
 
         """
-        if self.is_busy or self._worker.should_stop():
-            return BUSY if self.is_busy else STOPPING
+        unready = self._unready()
+        if unready is not None:
+            return unready
         snapshot = attempt(self._snapshot)
         if isinstance(snapshot, Exception):
             outcome = self._refusal(snapshot)
@@ -97,7 +102,7 @@ class Engine:
                 progress=self._on_progress,
                 should_stop=self._worker.should_stop,
             )
-            ended = await self._in_worker(job)
+            ended = await self._in_worker(job, meanwhile=BUSY)
             outcome = self._refusal(ended) if isinstance(ended, Exception) else ended
         data = None
         if outcome.is_accepted and isinstance(snapshot, Snapshot):
@@ -113,9 +118,11 @@ class Engine:
             Whether it was written, and what to answer.
 
         """
-        if self.is_busy:
-            return False, answer(BUSY)
-        ended = await self._in_worker(partial(self.results.write_again, self._worker))
+        unready = self._unready()
+        if unready is not None:
+            return False, answer(unready)
+        job = partial(self.results.write_again, self._worker)
+        ended = await self._in_worker(job, meanwhile=SAVING)
         return self._told(ended, f'saved to {self.results.path}')
 
     async def revert(self) -> tuple[bool, str]:
@@ -125,8 +132,9 @@ class Engine:
             Whether that could be done, and what to answer.
 
         """
-        if self.is_busy:
-            return False, answer(BUSY)
+        unready = self._unready()
+        if unready is not None:
+            return False, answer(unready)
         ended = attempt(self.results.step_back)
         if isinstance(ended, Exception):
             return self._told(ended, '')
@@ -142,8 +150,12 @@ class Engine:
             Whether that could be done, and what to answer.
 
         """
+        unready = self._unready()
+        if unready is not None:
+            return False, answer(unready)
         ended = attempt(self.results.load)
         if isinstance(ended, StoredResult):
+            self.last = None  # it speaks of a pose that is no longer published
             self.watch_stored(ended)
         return self._told(ended, f'published from {self.results.path}')
 
@@ -174,10 +186,16 @@ class Engine:
         """Wait for a file that is being written."""
         self._worker.join()
 
-    async def _in_worker(self, job: Callable[[], T]) -> T | Exception:
-        self.is_busy = True
-        ended: T | Exception = await self._worker.start(job, self._node.executor)
-        self.is_busy, self.running = False, ''
+    def _unready(self) -> Outcome | None:
+        """Return why nothing can be begun now, None where something can."""
+        return STOPPING if self._worker.should_stop() else self._at_work
+
+    async def _in_worker(self, job: Callable[[], T], *, meanwhile: Outcome) -> T | Exception:
+        self._at_work = meanwhile
+        try:
+            ended: T | Exception = await self._worker.start(job, self._node.executor)
+        finally:
+            self._at_work, self.running = None, ''
         return ended
 
     def _snapshot(self) -> Snapshot:

@@ -58,6 +58,7 @@ class Outcome:
 
 
 BUSY = Outcome(Reason.BUSY, 'busy: a calibration is running; its result is published')
+SAVING = Outcome(Reason.BUSY, 'busy: a result is being saved; call again')
 STOPPING = Outcome(Reason.CANCELLED, 'the node is shutting down')
 
 

@@ -89,12 +89,14 @@ class Results:
         self._world_frame = world_frame
         self._history: deque[Accepted] = deque(maxlen=MAX_HISTORY)
         self._published: Published | None = None
+        self._is_loaded = False  # what is published comes from the file
         self._found_s = math.nan  # of the wall clock: the file outlives the process
 
     @property
     def accepted(self) -> Calibration | None:
-        """The calibration of this process that is published, or None."""
-        return self._history[-1].calibration if self._history else None
+        """The calibration of this process that is published, None where there is none."""
+        is_ours = self._history and not self._is_loaded
+        return self._history[-1].calibration if is_ours else None
 
     @property
     def pose(self) -> RigidTransform | None:
@@ -143,6 +145,8 @@ class Results:
     def step_back(self) -> Accepted:
         """Publish the accepted calibration before the published one, which is forgotten.
 
+        Before one from the file that is the newest accepted one.
+
         Returns:
             What is published now.
 
@@ -150,13 +154,14 @@ class Results:
             InputError: NO_DATA. There is none of this process.
 
         """
-        if len(self._history) < 2:
+        if len(self._history) < (1 if self._is_loaded else 2):
             msg = (
-                'nothing to go back to: fewer than two calibrations were accepted since the node '
-                f'started; older ones are the backups beside {self.path}'
+                'nothing to go back to: no calibration was accepted before the published one '
+                f'since the node started; older ones are the backups beside {self.path}'
             )
             raise InputError(Reason.NO_DATA, msg)
-        self._history.pop()
+        if not self._is_loaded:
+            self._history.pop()
         self._publish_newest()
         return self._history[-1]
 
@@ -202,11 +207,13 @@ class Results:
         """Write the published calibration again; for the worker's thread.
 
         Raises:
-            InputError: NO_DATA, nothing was accepted since the start; NOT_WRITABLE.
+            InputError: NO_DATA, nothing was accepted since the start, or since what is published
+                was loaded; NOT_WRITABLE.
 
         """
-        if not self._history:
-            msg = 'nothing to save: no calibration was accepted since the node started'
+        if self.accepted is None:
+            since = f'{self.path} was loaded' if self._is_loaded else 'the node started'
+            msg = f'nothing to save: no calibration was accepted since {since}'
             raise InputError(Reason.NO_DATA, msg)
         newest = self._history[-1]
         found, appraisal = newest.calibration, newest.appraisal
@@ -240,6 +247,7 @@ class Results:
             )
             raise InputError(Reason.BAD_RESULT_FILE, msg)
         frames = Frames(stored.world_frame, stored.mocap_frame, stored.optical_frames)
+        self._is_loaded = True
         self._publish(frames, stored, found_ns=stored.stamp_ns)
         self._output.publish_error(stored.mpjpe_px)
         return stored
@@ -270,7 +278,7 @@ class Results:
         self._output.publish_error(error_px)
 
     def _publish_newest(self) -> None:
-        newest = self._history[-1]
+        newest, self._is_loaded = self._history[-1], False
         self._publish(newest.frames, newest.calibration, found_ns=newest.found_ns)
 
     def _publish(
