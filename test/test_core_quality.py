@@ -19,12 +19,14 @@ from rpgd_ros.core import (
     View,
     calibrate,
 )
-from rpgd_ros.core.config import AcceptConfig
+from rpgd_ros.core.config import AcceptConfig, RefineConfig
 from rpgd_ros.core.examine import QUANTILE_SAMPLE, examine
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.noise import SquaredLoss
 from rpgd_ros.core.quality import refuse
 from rpgd_ros.simulation import Twin
+
+OPEN = AcceptConfig(min_inlier_ratio=0.0, max_sigma_deg=180.0, max_sigma_m=100.0)
 
 
 @pytest.fixture(scope='module')
@@ -171,3 +173,12 @@ def test_median_residual_is_that_of_all_joints() -> None:
     )
     assert float(np.median(seen.tally.sample_px)) < 2.0
     assert float(np.quantile(seen.tally.sample_px, 0.95)) > 50.0
+
+
+def test_refinement_that_ran_out_of_steps_is_said(good: Calibration) -> None:
+    """The pose is usable where the gates say so, but it is not the optimum."""
+    assert not good.warnings
+    short = CalibrationConfig(refine=RefineConfig(loss='squared', iterations=1), accept=OPEN)
+    far = scene('aistpp', 150, 1, outlier_ratio=0.5, kind='mixed')
+    found = calibrate(far.cameras, far.observations, config=short)
+    assert 'Raise `refine.iterations`' in ' '.join(found.warnings)

@@ -87,14 +87,15 @@ class RansacConfig(Stage):
     )
     frame_stride: int = setting(
         0,
-        'Use every n-th frame; 0 = as many as the stage needs',
+        'Where inliers are counted, use every n-th frame; 0 = as many as that needs',
         low=0,
         high=100_000,
         is_live=True,
     )
     seed: int = setting(0, 'Seed of the random draws', low=0, high=2**31 - 1)
     sampling: Literal['same_frame', 'any_frame'] = setting(
-        'any_frame', 'Triplets of one camera and instant, as published, or from any times',
+        'any_frame',
+        'Triplets of one instant, as published and wherever inliers are counted, or of any',
         choices=('same_frame', 'any_frame'),
     )  # fmt: skip
     score: Literal['inliers', 'likelihood'] = setting(

@@ -129,7 +129,7 @@ def noise_at(
         CalibrationError: No keypoint lies before a camera.
 
     """
-    residual_px, angle_px = _residuals_at(sights, pose)
+    residual_px, px_per_m = _residuals_at(sights, pose)
     if not len(residual_px):
         msg = 'no keypoint lies before a camera in the best pose found'
         raise CalibrationError(Reason.TOO_FEW_INLIERS, msg)
@@ -137,8 +137,8 @@ def noise_at(
     best = fit_noise(residual_px, largest_px=LARGEST_NOISE * focal_px)
     if not with_joints:
         return best
-    ratios = JOINT_NOISE_RATIOS / np.median(angle_px)
-    likelihoods, models = _with_joint_noise(residual_px, angle_px, ratios, focal_px)
+    ratios = JOINT_NOISE_RATIOS / np.median(px_per_m)
+    likelihoods, models = _with_joint_noise(residual_px, px_per_m, ratios, focal_px)
     top = int(np.argmax(likelihoods))
     least = 0.0 if are_noisy else JOINT_NOISE_GAIN
     if likelihoods[top] <= _log_likelihood(best, residual_px, 1.0) + least:
@@ -148,16 +148,16 @@ def noise_at(
         before, there, after = likelihoods[top - 1 : top + 2]
         shift = 0.5 * (before - after) / (before - 2.0 * there + after)
         ratio = ratios[top] * (ratios[1] / ratios[0]) ** shift
-        _, models = _with_joint_noise(residual_px, angle_px, np.array([ratio]), focal_px)
+        _, models = _with_joint_noise(residual_px, px_per_m, np.array([ratio]), focal_px)
         return models[0]
     return models[top]
 
 
 def _with_joint_noise(
-    residual_px: Array, angle_px: Array, ratios: Array, focal_px: float
+    residual_px: Array, px_per_m: Array, ratios: Array, focal_px: float
 ) -> tuple[Array, list[NoiseModel]]:
     """Log likelihoods and noises where that of the 3D joints has a ratio (k,) to it, pixels."""
-    widened = np.sqrt(1.0 + (ratios[:, None] * angle_px) ** 2)
+    widened = np.sqrt(1.0 + (ratios[:, None] * px_per_m) ** 2)
     noises = fit_noises(residual_px / widened, largest_px=LARGEST_NOISE * focal_px)
     likelihood = [_log_likelihood(n, residual_px, w) for n, w in zip(noises, widened, strict=True)]
     sigma_m = [r * n.sigma_px for n, r in zip(noises, ratios.tolist(), strict=True)]
@@ -168,14 +168,14 @@ def _with_joint_noise(
 def _residuals_at(sights: Sequence[Sight], pose: RigidTransform) -> tuple[Array, Array]:
     """Return residuals (n,), pixels, and what a metre of noise in 3D adds to each (n,), pixels."""
     residual: list[Column] = [np.empty(0)]
-    angle: list[Column] = [np.empty(0)]
+    per_m: list[Column] = [np.empty(0)]
     for s in sights:
         for x, uv in s.chunks():
             res, slopes = linearise(s.camera, s.camera_T_world @ pose, x, uv)
             residual.append(np.sqrt(res.squared)[res.in_view])
             squared, _ = slopes.joint_variance(s.camera.focal_px)
-            angle.append(np.sqrt(squared[res.in_view]))
-    return np.concatenate(residual), np.concatenate(angle)
+            per_m.append(np.sqrt(squared[res.in_view]))
+    return np.concatenate(residual), np.concatenate(per_m)
 
 
 def _log_likelihood(noise: NoiseModel, residual_px: Array, widened: Array | float) -> float:

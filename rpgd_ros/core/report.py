@@ -46,7 +46,6 @@ def report(
     """Collect the figures, cameras in the caller's order."""
     counts = descent.examination.tally
     n, n_in = int(counts.correspondences.sum()), int(counts.inliers.sum())
-    variance = _variance(descent, loss, n)
     names = joint_names or tuple(str(j) for j in range(sights[0].view.n_joints))
     if details is None:
         noise = loss if isinstance(loss, NoiseModel) else noise_at(sights, descent.pose)
@@ -54,13 +53,12 @@ def report(
     else:
         findings = Findings.of(details)
     covariance, over_time = covariances(
-        descent, centroid, variance=variance, solution=findings.solution,
+        descent, centroid, variance=_variance(descent, loss, n), solution=findings.solution,
         systematic=findings.systematic,
     )  # fmt: skip
     median, p95 = np.quantile(counts.sample_px, [0.5, 0.95]) if n else (np.nan, np.nan)
-    contradicting = _contradicting(
-        sights, descent, details, centroid, with_dates=findings.drift is None
-    )
+    with_dates = findings.drift is None
+    contradicting = _contradicting(sights, descent, details, centroid, with_dates=with_dates)
     by_camera = fits(counts, [s.camera.name for s in sights], axis=1)
     return Calibration(
         world_T_mocap=descent.pose,
@@ -85,7 +83,11 @@ def report(
         skeleton_scale=findings.scale,
         drift=findings.drift,
         disagreements=tuple(contradicting),
-        warnings=(*findings.warnings, *_camera_warnings(sights, counts, contradicting)),
+        warnings=(
+            *findings.warnings,
+            *_camera_warnings(sights, counts, contradicting),
+            *_unfinished(descent, details, config),
+        ),
         seconds=seconds,
     )
 
@@ -133,6 +135,14 @@ def _camera_warnings(
         'Check that its detector picks the person with the MoCap skeleton'
         for name, share in lost
     ]
+
+
+def _unfinished(descent: Descent, details: Details | None, config: CalibrationConfig) -> list[str]:
+    refine = config.refine
+    if descent.is_converged or details is not None or refine.method != 'newton':
+        return []
+    ended = f'the refinement ended before the optimum, after {refine.iterations} steps'
+    return [f'{ended}. Raise `refine.iterations`']
 
 
 def with_excluded(
