@@ -346,6 +346,41 @@ def test_the_store_of_parts_is_bounded_and_can_be_emptied() -> None:
     assert len(skeletons(session)[0]) == 0
 
 
+def test_after_a_reset_a_driver_may_send_another_frame() -> None:
+    """Another root, and places in which poses were: no part of them is refused."""
+    session = fed(walk())
+    assert session.mocap_frame == 'map'
+    session.reset()
+    assert session.mocap_frame == ''
+    for i in range(N_FRAMES):
+        for j in range(len(JOINTS)):
+            stream, payload = segment(i, j, frame_id='studio_2')
+            session.add(stream, POSE_STAMPED, [payload], [1])
+    assert session.mocap_frame == 'studio_2'
+    np.testing.assert_array_equal(skeletons(session)[1], whole())
+    counts = session.counts(MOCAP)
+    assert 'frame_changed' not in counts
+    assert counts['cleared'] == counts['kept'] == N_FRAMES * len(JOINTS)
+    assert counts['received'] == 2 * N_FRAMES * len(JOINTS)
+
+
+def test_after_a_reset_a_driver_may_send_whole_skeletons() -> None:
+    """And before it may not: which of the two is meant, nobody can tell."""
+    links = [link(i, 'mocap', f'bob_{j}', (i, 1, 2)) for i in range(N_FRAMES) for j in JOINTS]
+    session = fed(links, TF_MESSAGE, TREE)
+    payloads = [
+        encode_point_cloud2(STAMP_NS + i * FRAME_NS, 'mocap', x) for i, x in enumerate(whole())
+    ]
+    session.add(MOCAP, POINT_CLOUD2, payloads, [1] * N_FRAMES)
+    assert session.counts(MOCAP)['wrong_type'] == N_FRAMES
+    session.reset()
+    session.add(MOCAP, POINT_CLOUD2, payloads, [1] * N_FRAMES)
+    counts = session.counts(MOCAP)
+    assert (counts['kept'], counts['cleared']) == (N_FRAMES, len(links))
+    assert counts['received'] == len(links) + 2 * N_FRAMES
+    np.testing.assert_array_equal(skeletons(session)[1], whole())
+
+
 def test_poses_need_a_topic_that_tells_the_joint_and_trees_must_not_have_one() -> None:
     """Otherwise nobody knows whose pose it is; the messages are counted as of a wrong type."""
     bare = Session(rig('topic: /pose'))

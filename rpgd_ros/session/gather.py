@@ -69,6 +69,7 @@ class GatheredStream:
 
     Attributes:
         problems: Parts that were left out, by reason.
+        root: Frame of the skeletons; '' until the first part tells it.
 
     """
 
@@ -82,20 +83,18 @@ class GatheredStream:
 
         """
         self.problems: Counter[str] = Counter()
-        self.root = root
+        self._given_root = root
         self._may_chain = bool(root)
         self._names = tuple(names)
         self._buffer = buffer.max_frames, buffer.max_age_s
-        self._parts: dict[str, JointStream] = {}
-        self._parents: dict[str, str] = {}
-        self._wanted = set(names)
+        self._past: Counter[str] = Counter()  # counts of parts that were forgotten
         self._gathered: Samples | None
-        self._forget()
+        self._start()
 
     @property
     def counts(self) -> Mapping[str, int]:
         """What became of the parts, and the number of `skeletons` they make."""
-        total: Counter[str] = Counter({'received': 0, 'kept': 0})
+        total = Counter({'received': 0, 'kept': 0, **self._past})
         for part in self._parts.values():
             total.update(part.counts)
         n_skeletons = len(self.stamps())
@@ -140,10 +139,11 @@ class GatheredStream:
         self._forget()
 
     def clear(self) -> None:
-        """Forget all messages and the time; the counts stay."""
+        """Forget all messages, the time and how the frames hang together; the counts stay."""
         for part in self._parts.values():
             part.clear()
-        self._forget()
+            self._past.update(part.counts)
+        self._start()
 
     def resize(self, max_frames: int, max_age_s: float) -> None:
         """Change the bounds."""
@@ -195,6 +195,14 @@ class GatheredStream:
             self._wanted.add(parent)
             parent = links.get(parent, self.root)
         return True
+
+    def _start(self) -> None:
+        """Know of no part."""
+        self.root: str = self._given_root
+        self._parts: dict[str, JointStream] = {}
+        self._parents: dict[str, str] = {}
+        self._wanted: set[str] = set(self._names)
+        self._forget()
 
     def _forget(self) -> None:
         """Put everything together anew when next asked."""

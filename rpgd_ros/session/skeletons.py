@@ -74,6 +74,21 @@ class MocapInput(StreamInput):
         self.frame_id = self._gathered.root or None
         return went_back
 
+    def clear(self) -> None:
+        """Forget the messages, their frame, and whether they are parts; the counts stay."""
+        for store in (self._whole, self._gathered):
+            store.clear()
+        self.store, self.frame_id = self._whole, None
+
+    def counts(self) -> dict[str, int]:
+        """Return what became of the messages, before a change between whole ones and parts too."""
+        counts = super().counts()
+        before = self._whole if self.store is self._gathered else self._gathered
+        for reason, n in before.counts.items():
+            if n and reason not in {'received', 'kept'}:
+                counts[reason] = counts.get(reason, 0) + n
+        return counts
+
     def resize(self, buffer: BufferConfig) -> None:
         """Change the bounds of the stores."""
         super().resize(buffer)
