@@ -28,7 +28,9 @@ def test_every_taker_is_measured_under_every_load() -> None:
         ('rclpy', 'PoseArray, 200/s'),
     ]
     for _, load, lost, sent, rate in told:
-        assert int(sent) >= 0.95 * N_MESSAGES
         if load.endswith('200/s'):
-            assert (int(lost), int(rate)) == (0, 200)
+            assert (int(lost), int(sent)) == (0, 200)
+            assert 100 < int(rate) <= 200  # a second of it, on a machine that does more
+        else:
+            assert int(sent) >= 0.95 * N_MESSAGES
     assert re.search(r'PoseArray, 200/s [^\d]*\d+ [^\d]*\d+ [^\d]*0 [^\d]*\d+\.\d\d', child.output)

@@ -29,7 +29,7 @@ from rpgd_ros.simulation.export import Message, messages_of, rig_of
 
 MOCAP_HZ, CAMERA_HZ = 240.0, 60.0
 RATES = (1000, 2000, 3000, 4000, 5000, 6000, 8000)  # messages per second of the search
-SEARCH_SECONDS = 10.0
+SEARCH_SECONDS = 10.0  # at most
 CALIBRATE_EVERY_S = 5.0
 
 DESCRIPTION = """\
@@ -86,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog='make bench-live', description=DESCRIPTION)
-    text = 'length of the trials with calibrations (default 60)'
+    text = 'length of the trials with calibrations; of the search at most 10 (default 60)'
     parser.add_argument('--seconds', type=float, default=60.0, metavar='S', help=text)
     text = 'messages per second of the search, in rising order'
     parser.add_argument('--rates', type=int, nargs='*', default=RATES, metavar='N', help=text)
@@ -130,7 +130,7 @@ def _trials(
                 f'PoseArray, {rate}/s',
                 bags['PoseArray'],
                 rate=rate / usual,
-                n_messages=round(rate * SEARCH_SECONDS),
+                n_messages=round(rate * min(SEARCH_SECONDS, seconds)),
                 parameters=('auto.enabled:=false',),
             )
             yield _shown(console, found)
