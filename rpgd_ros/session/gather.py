@@ -83,7 +83,7 @@ class GatheredStream:
 
         """
         self.problems: Counter[str] = Counter()
-        self._given_root = root
+        self._given_root = self.root = root
         self._may_chain = bool(root)
         self._names = tuple(names)
         self._buffer = buffer.max_frames, buffer.max_age_s
@@ -198,7 +198,7 @@ class GatheredStream:
 
     def _start(self) -> None:
         """Know of no part."""
-        self.root: str = self._given_root
+        self.root = self._given_root
         self._parts: dict[str, JointStream] = {}
         self._parents: dict[str, str] = {}
         self._wanted: set[str] = set(self._names)
