@@ -15,6 +15,7 @@ from typing import Any
 from unittest import mock
 
 from rpgd_ros.apps import calibrator
+from rpgd_ros.ros.results import Results
 from rpgd_ros.session import Session
 
 SAVE_SECONDS = 0.2  # that each file takes to reach the disk; a save writes four
@@ -53,7 +54,18 @@ def faulty_session() -> None:
     mock.patch.object(Session, 'add', now_and_then).start()
 
 
-FAULTS = {'slow_disk': slow_disk, 'faulty_session': faulty_session}
+def faulty_services() -> None:
+    """Raise what nobody foresaw in each calibration and each reset."""
+    raised = RuntimeError('nobody foresaw this')
+    mock.patch.object(Results, 'frames', side_effect=raised).start()
+    mock.patch.object(Session, 'reset', side_effect=raised).start()
+
+
+FAULTS = {
+    'slow_disk': slow_disk,
+    'faulty_session': faulty_session,
+    'faulty_services': faulty_services,
+}
 
 
 def main(arguments: Sequence[str]) -> int:

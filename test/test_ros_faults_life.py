@@ -15,8 +15,10 @@ import pytest
 from fault_report import Measured, repeats, within
 from geometry_msgs.msg import TransformStamped
 from harness import Child
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from ros_live import WAIT_S, Live, answered_bits, bits, live, slow
 from ros_scene import Scene
+from test_ros_live_parameters import set_to
 
 from rpgd_ros.io.result_file import read_result
 from rpgd_ros.ros.client import NODE
@@ -174,6 +176,31 @@ def test_exception_in_a_callback_is_counted_and_survived(
         assert success
         node.wait_until('no warning', lambda: 'internal error' in node.peer.message('calibration'))
         assert node.child.output.count('internal error') <= 2  # the log is not flooded
+
+
+@pytest.mark.fault(7)
+def test_exception_in_a_service_or_an_automatic_run_is_survived(
+    walk: Scene, rig: Path, measured: Measured
+) -> None:
+    """Who called hears of it; nobody hears of automatic runs, but they are counted as well."""
+    with live(rig, 'auto.period_s:=0.5', program=[FAULTY, 'faulty_services']) as node:
+        node.play(walk)
+        for service in ('calibrate', 'reset') * 2:
+            answered = node.call(service)
+            assert not answered.success
+            answer = json.loads(answered.message)
+            assert answer['reason'] == 'internal_error'
+            assert 'RuntimeError: nobody foresaw this' in answer['message']
+        on = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+        assert set_to(node, 'auto.enabled', on) == ''
+
+        def counted() -> int:
+            return int(node.peer.diagnostics('calibration')['internal_errors'])
+
+        node.wait_until('not counted', lambda: counted() > 4)
+        assert node.call('load').success is False
+        measured('told', n=counted())
+        assert 'Traceback' not in node.child.output
 
 
 @pytest.mark.fault(24)

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from rclpy.node import Node
 
@@ -18,7 +18,7 @@ from rpgd_ros.ros.health import in_short
 from rpgd_ros.ros.inputs import LOG_SECONDS
 from rpgd_ros.ros.job import BUSY, SAVING, STOPPING, Outcome, answer, run
 from rpgd_ros.ros.results import Results
-from rpgd_ros.ros.worker import Worker, attempt
+from rpgd_ros.ros.worker import Worker, attempt, attempt_to_end
 from rpgd_ros.session import Session, Snapshot
 from rpgd_ros.session.jump import refuse_jump
 from rpgd_ros.session.levels import stored_levels
@@ -26,6 +26,7 @@ from rpgd_ros.session.monitor import Monitor
 
 T = TypeVar('T')
 P = ParamSpec('P')
+Serve = Callable[[Any], Awaitable[tuple[bool, str]]]
 
 
 class Engine:
@@ -143,7 +144,7 @@ class Engine:
         is_saved, message = await self.save()
         return is_saved, 'the previous calibration is published and saved' if is_saved else message
 
-    def load(self) -> tuple[bool, str]:
+    async def load(self) -> tuple[bool, str]:
         """Publish what the result file holds.
 
         Returns:
@@ -175,6 +176,33 @@ class Engine:
             raised = attempt(partial(callback, *args, **keywords))
             if isinstance(raised, Exception):
                 self._refusal(raised)
+
+        return call
+
+    def guarded_to_end(
+        self, callback: Callable[[], Awaitable[None]]
+    ) -> Callable[[], Awaitable[None]]:
+        """Guard a callback that awaits something; see `guarded`."""
+
+        async def call() -> None:
+            raised = await attempt_to_end(callback())
+            if isinstance(raised, Exception):
+                self._refusal(raised)
+
+        return call
+
+    def service(self, serve: Serve) -> Callable[[Any, Any], Awaitable[Any]]:
+        """Make a callback of a service of what says, given a request, success and message.
+
+        Whatever that raises is logged, counted and answered, and the node lives on.
+        """
+
+        async def call(request: Any, response: Any) -> Any:
+            ended = await attempt_to_end(serve(request))
+            if isinstance(ended, Exception):
+                ended = False, answer(self._refusal(ended))
+            response.success, response.message = ended
+            return response
 
         return call
 

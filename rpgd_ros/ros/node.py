@@ -83,7 +83,9 @@ class CalibratorNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._open_services()
         self._auto_timer = self._open_timers(config)
-        self._live = LiveParameters(self, config, cameras, on_change=self._on_config)
+        self._live = LiveParameters(
+            self, config, cameras, on_change=self._engine.guarded(self._on_config)
+        )
 
     @property
     def is_busy(self) -> bool:
@@ -110,12 +112,17 @@ class CalibratorNode(Node):
     def _open_services(self) -> None:
         # Reentrant, for a second caller to hear 'busy' at once instead of waiting its turn.
         group = ReentrantCallbackGroup()
-        self.create_service(Trigger, '~/calibrate', self._on_calibrate, callback_group=group)
-        self.create_service(Trigger, '~/save', self._on_save, callback_group=group)
-        self.create_service(Trigger, '~/revert', self._on_revert, callback_group=group)
-        self.create_service(Trigger, '~/load', self._on_load)
-        self.create_service(Trigger, '~/reset', self._on_reset)
-        self.create_service(SetBool, '~/set_enabled', self._on_set_enabled)
+        engine = self._engine
+        for name, kind, serve in (
+            ('calibrate', Trigger, self._on_calibrate),
+            ('save', Trigger, lambda _: engine.save()),
+            ('revert', Trigger, lambda _: engine.revert()),
+            ('load', Trigger, lambda _: engine.load()),
+            ('reset', Trigger, self._on_reset),
+            ('set_enabled', SetBool, self._on_set_enabled),
+        ):
+            call = engine.service(serve)
+            self.create_service(kind, f'~/{name}', call, callback_group=group)
 
     def _open_timers(self, config: NodeConfig) -> Timer:
         # Of the steady clock: the node has to stay awake where a simulation stands still.
@@ -126,7 +133,7 @@ class CalibratorNode(Node):
         self.create_timer(period_s, guarded(self._on_diagnostics), clock=clock)
         return self.create_timer(
             config.auto.period_s,
-            self._on_auto,
+            self._engine.guarded_to_end(self._on_auto),
             callback_group=MutuallyExclusiveCallbackGroup(),
             clock=clock,
         )
@@ -202,46 +209,21 @@ class CalibratorNode(Node):
         if self._engine.session.motion_m() >= config.buffer.min_motion:
             await self._engine.calibrate(is_automatic=True)
 
-    async def _on_calibrate(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    async def _on_calibrate(self, _request: Trigger.Request) -> tuple[bool, str]:
         outcome = await self._engine.calibrate(is_automatic=False)
-        response.success, response.message = outcome.is_accepted, answer(outcome)
-        return response
+        return outcome.is_accepted, answer(outcome)
 
-    async def _on_save(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        response.success, response.message = await self._engine.save()
-        return response
-
-    async def _on_revert(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        response.success, response.message = await self._engine.revert()
-        return response
-
-    def _on_load(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = self._engine.load()
-        return response
-
-    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    async def _on_reset(self, _request: Trigger.Request) -> tuple[bool, str]:
         self._flush()
         self._engine.session.reset()
         self._monitor.clear()
         self._overlays.clear()
-        response.success = True
-        response.message = 'the buffers are empty; the published transform stays'
-        return response
+        return True, 'the buffers are empty; the published transform stays'
 
-    def _on_set_enabled(
-        self, request: SetBool.Request, response: SetBool.Response
-    ) -> SetBool.Response:
+    async def _on_set_enabled(self, request: SetBool.Request) -> tuple[bool, str]:
         self._flush()
         self._is_enabled = bool(request.data)
-        response.success = True
-        response.message = 'collecting' if self._is_enabled else 'not collecting'
-        return response
+        return True, 'collecting' if self._is_enabled else 'not collecting'
 
     def _on_diagnostics(self) -> None:
         self._flush()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import ctypes
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -33,6 +33,14 @@ def attempt(job: Callable[[], T]) -> T | Exception:
     """
     try:
         return job()
+    except Exception as error:
+        return error
+
+
+async def attempt_to_end(job: Awaitable[T]) -> T | Exception:
+    """Await something at the edge of the node; see `attempt`."""
+    try:
+        return await job
     except Exception as error:
         return error
 
