@@ -9,6 +9,7 @@ import numpy as np
 
 from rpgd_ros.core.examine import TIME_BLOCKS
 from rpgd_ros.core.geometry import Array
+from rpgd_ros.core.normal import spectrum
 
 if TYPE_CHECKING:
     from rpgd_ros.core.refine import Descent
@@ -123,12 +124,7 @@ def invert(hessian: Array, information: Array | None = None) -> Array:
 
     By eigenvalues: the bits of LAPACK's own inverse depend on the number of threads.
     """
-    information = hessian if information is None else information
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
-    for matrix in (hessian, information):
-        values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-        if values[0] > 1e-12 * values[-1]:
-            break
+    scale, values, vectors = spectrum(hessian, hessian if information is None else information)
     values = np.maximum(values, 1e-12 * max(values[-1], 1e-30))
     inverse: Array = (vectors / values) @ vectors.T * np.outer(scale, scale)
     return inverse

@@ -15,7 +15,7 @@ from rpgd_ros.core.agreement import chance, lasts_long
 from rpgd_ros.core.covariance import invert
 from rpgd_ros.core.examine import TIME_BLOCKS, time_blocks
 from rpgd_ros.core.geometry import Array, RigidTransform
-from rpgd_ros.core.normal import normal_equations
+from rpgd_ros.core.normal import normal_equations, spectrum
 from rpgd_ros.core.observations import NS_PER_S
 
 if TYPE_CHECKING:
@@ -99,20 +99,14 @@ def find_drift(
         part = [s for s in part if s.view.n_frames]
         if part:
             normal = normal_equations(part, pose, pose @ centroid_mocap, loss)
-            if _tells_a_pose(normal.information):
+            # One joint of one camera does not tell all of a pose.
+            if spectrum(normal.information, normal.information).is_definite(ROUNDING):
                 middle = (number + 0.5) / TIME_BLOCKS - 0.5
                 step = -invert(normal.hessian, normal.information) @ normal.gradient
                 opinions.append((middle * seconds, step, normal.information))
     if len(opinions) < LEAST_BLOCKS:
         return None
     return _trend(opinions, seconds)
-
-
-def _tells_a_pose(information: Array) -> bool:
-    """Whether a stretch of time tells all of its pose: one joint of one camera does not."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
-    values = np.linalg.eigvalsh(information * np.outer(scale, scale))
-    return bool(values[0] > ROUNDING * values[-1])
 
 
 def _trend(opinions: Sequence[tuple[float, Array, Array]], seconds: float) -> Drift:

@@ -47,6 +47,36 @@ class Normal(NamedTuple):
     camera_information: Array
 
 
+class Spectrum(NamedTuple):
+    """Eigenvalues of a symmetric matrix whose diagonal was scaled to one.
+
+    Radians and metres, millions of points and two: scaled, one limit of rounding suits them all.
+
+    Attributes:
+        scale: (p,) the matrix was multiplied by its outer product.
+        values: (p,) ascending.
+        vectors: (p, p) in columns.
+
+    """
+
+    scale: Array
+    values: Array
+    vectors: Array
+
+    def is_definite(self, rounding: float = 1e-12) -> bool:
+        """Whether every direction is known beyond rounding."""
+        return bool(self.values[0] > rounding * self.values[-1])
+
+
+def spectrum(hessian: Array, information: Array) -> Spectrum:
+    """Return that of the Hessian; where it is not positive, that of its Gauss-Newton part."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
+    found = Spectrum(scale, *np.linalg.eigh(hessian * np.outer(scale, scale)))
+    if found.is_definite() or hessian is information:
+        return found
+    return Spectrum(scale, *np.linalg.eigh(information * np.outer(scale, scale)))
+
+
 def twist_from_delta(camera_T_world: RigidTransform, pivot_world: Array) -> Array:
     """Return (6, 6): the camera's twist that a step (w, d) of the solve means."""
     r = camera_T_world.rotation

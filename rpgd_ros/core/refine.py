@@ -20,7 +20,7 @@ from rpgd_ros.core.geometry import (
     euler_zyx_with_derivatives,
 )
 from rpgd_ros.core.linearise import Sight, linearise
-from rpgd_ros.core.normal import Normal, apply_delta, normal_equations
+from rpgd_ros.core.normal import Normal, apply_delta, normal_equations, spectrum
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -146,13 +146,12 @@ def appraise(
 
 def newton_step(hessian: Array, information: Array, gradient: Array) -> tuple[Array, float]:
     """Return the step and its decrement; Gauss-Newton where the Hessian is not positive."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
-    for matrix in (hessian, information):
-        values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-        if values[0] > 1e-12 * values[-1]:
-            along = vectors.T @ (scale * gradient)
-            return -scale * (vectors @ (along / values)), float(along @ (along / values))
-    return np.zeros_like(gradient), 0.0  # nothing pulls along some direction: no step to take
+    found = spectrum(hessian, information)
+    if not found.is_definite():  # nothing pulls along some direction: no step to take
+        return np.zeros_like(gradient), 0.0
+    scale, values, vectors = found
+    along = vectors.T @ (scale * gradient)
+    return -scale * (vectors @ (along / values)), float(along @ (along / values))
 
 
 def published_gradient(
