@@ -159,6 +159,22 @@ def test_backups_are_limited_to_the_newest(tmp_path: Path) -> None:
     assert other.exists()
 
 
+def test_newest_backup_stays_where_the_clock_was_set_back(tmp_path: Path) -> None:
+    """Ten that claim to be of the future give way to it, one by one."""
+    path = tmp_path / 'result.yaml'
+    for day in range(10):
+        (tmp_path / f'result.2099010{day}T000000.000.yaml').touch()
+    for second in range(3):
+        save(path, make_calibration(second))
+        os.utime(path, ns=(STAMP_NS + second * 10**9,) * 2)
+        old = path.read_bytes()
+    save(path)
+    found = backups(path)
+    assert len(found) == 10
+    assert found[-1].name == 'result.20260131T120002.123.yaml'
+    assert found[-1].read_bytes() == old
+
+
 @pytest.mark.fault(25)
 def test_several_savers_leave_one_whole_result(tmp_path: Path) -> None:
     """Node and service may save at once; every read is a whole result."""

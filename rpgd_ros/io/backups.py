@@ -41,8 +41,11 @@ def back_up(path: Path) -> None:
         msg = f'{path} cannot be read for a backup: {error.strerror or error}'
         raise InputError(Reason.NOT_WRITABLE, msg) from error
     date = utc(changed_ns).translate({ord(c): None for c in '-:Z'})
-    write_atomic(path.with_name(f'{path.stem}.{date}{path.suffix}'), data)
-    for oldest in backups(path)[MAX_BACKUPS:]:
+    newest = path.with_name(f'{path.stem}.{date}{path.suffix}')
+    write_atomic(newest, data)
+    # Where the clock was set back, others claim to be later than the one just written.
+    others = [other for other in backups(path) if other != newest]
+    for oldest in others[MAX_BACKUPS - 1 :]:
         with contextlib.suppress(OSError):
             oldest.unlink()
 
