@@ -316,6 +316,31 @@ def test_refused_run_tells_how_exact_it_is_and_is_not_watched() -> None:
     assert monitor.watch.states() == {}
 
 
+@pytest.mark.parametrize('is_reset', [True, False])
+def test_run_on_a_recording_that_is_forgotten_promises_nothing(is_reset: bool) -> None:  # noqa: FBT001
+    """A reset, or a jump of the clock, came in while it ran: its pose counts, its data do not."""
+    recording = walk(7, seconds=8.0)
+    session = Session(rig_of(recording))
+    monitor = Monitor(session, max_age_s=300.0)
+    for _ in play(recording, session):
+        monitor.look()
+    snapshot, begun = session.snapshot(), monitor.recording
+    found = appraise(snapshot, solve(snapshot))
+    if is_reset:
+        session.reset()
+        monitor.clear()
+    else:
+        next(now for now in play(recording, session) if now > 1.0)
+        assert session.n_epochs == 1
+        monitor.look()
+    monitor.conclude(found, is_accepted=True, is_automatic=False, recording=begun)
+    monitor.look()
+    guidance = monitor.guidance(AcceptConfig(), 1.0)
+    assert not guidance.expected.is_known
+    assert 'are enough' not in guidance.sentence
+    assert monitor.recent.pose is found.pose
+
+
 def test_watch_looks_at_the_person_with_mocap_among_others() -> None:
     """Others in the images come first in half of the messages, and raise nothing."""
     scene = build_scene(preset('studio'), 3, seconds=16.0, persons=3)

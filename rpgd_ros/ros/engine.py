@@ -88,6 +88,7 @@ class Engine:
         if unready is not None:
             return unready
         snapshot = attempt(self._snapshot)
+        recording = self.monitor.recording
         if isinstance(snapshot, Exception):
             outcome = self._refusal(snapshot)
         else:
@@ -109,7 +110,14 @@ class Engine:
         if outcome.is_accepted and isinstance(snapshot, Snapshot):
             # A copy has none of the pairs that the solve has made: they take most memory.
             data = replace(snapshot.alone())
-        self._conclude(outcome, data, is_automatic=is_automatic)
+        if outcome.appraisal is not None:
+            self.monitor.conclude(
+                outcome.appraisal,
+                is_accepted=outcome.is_accepted,
+                is_automatic=is_automatic,
+                recording=recording,
+            )
+        self._conclude(outcome, data)
         return outcome
 
     async def save(self) -> tuple[bool, str]:
@@ -139,8 +147,11 @@ class Engine:
         ended = attempt(self.results.step_back)
         if isinstance(ended, Exception):
             return self._told(ended, '')
-        if ended.appraisal is not None:
-            self.monitor.conclude(ended.appraisal, is_accepted=True, is_automatic=False)
+        back = ended.appraisal
+        if back is not None:
+            self.monitor.keep_watch(
+                back.pose, back.levels, offsets_s=back.offsets_s, poses=back.poses
+            )
         is_saved, message = await self.save()
         return is_saved, 'the previous calibration is published and saved' if is_saved else message
 
@@ -256,13 +267,9 @@ class Engine:
             refuse_jump, published=pose, covariance=covariance, gates=snapshot.config.accept
         )
 
-    def _conclude(self, outcome: Outcome, data: Snapshot | None, *, is_automatic: bool) -> None:
+    def _conclude(self, outcome: Outcome, data: Snapshot | None) -> None:
         before, self.last = self.last, outcome
         log = self._node.get_logger()
-        if outcome.appraisal is not None:
-            self.monitor.conclude(
-                outcome.appraisal, is_accepted=outcome.is_accepted, is_automatic=is_automatic
-            )
         if outcome.calibration is not None:
             self.results.accept(
                 outcome.calibration, outcome.frames, appraisal=outcome.appraisal, data=data

@@ -96,7 +96,13 @@ class Monitor:
         self._session = session
         self._expectation: Expectation | None = None
         self._n_epochs = session.n_epochs
+        self._n_cleared = 0
         self._n_looks = 0
+
+    @property
+    def recording(self) -> int:
+        """Number of the recording: another one after a reset, and after a jump of the clock."""
+        return self._session.n_epochs + self._n_cleared
 
     def look(self, *, at_all: bool = True) -> list[Pairs]:
         """Take what came since the last time, and return it.
@@ -120,18 +126,29 @@ class Monitor:
 
     def clear(self) -> None:
         """Forget the recording, as the session does; the pose and its watch stay."""
+        self._n_cleared += 1
         self._start_over()
 
-    def conclude(self, appraisal: Appraisal, *, is_accepted: bool, is_automatic: bool) -> None:
+    def conclude(
+        self,
+        appraisal: Appraisal,
+        *,
+        is_accepted: bool,
+        is_automatic: bool,
+        recording: int | None = None,
+    ) -> None:
         """Go on from the end of a run.
 
         Args:
             appraisal: Of the pose that it found.
             is_accepted: Whether that pose is published; the watch is kept over no other.
             is_automatic: Whether nobody asked for the run.
+            recording: The `recording` that it was found from; None = the present one.
 
         """
-        self._expectation = appraisal.expectation
+        is_over = recording not in {None, self.recording}  # and what is known of it forgotten
+        expectation = appraisal.expectation
+        self._expectation = expectation.emptied() if is_over else expectation
         if is_accepted:
             self.keep_watch(
                 appraisal.pose,
