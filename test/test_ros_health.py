@@ -160,6 +160,21 @@ def test_run_that_is_stopped_saves_nothing(snapshot: Snapshot) -> None:
     assert not saved
 
 
+def test_run_that_is_stopped_before_its_save_writes_nothing(snapshot: Snapshot) -> None:
+    """The process may be gone before the file is whole: `join` found no writer."""
+    worker = Worker()
+
+    def save(_found: Calibration, _appraisal: Appraisal) -> None:
+        worker.request_stop()
+        worker.join()
+        with worker.uncut():
+            pytest.fail('went on to write')
+
+    outcome = end(snapshot, save, should_stop=worker.should_stop)
+    assert outcome.reason == Reason.CANCELLED
+    assert outcome.calibration is None
+
+
 def guidance(**changes: Any) -> Guidance:
     """Return what is to be said after 41 s of walking, before anybody knows how exact it is."""
     nothing_seen = np.zeros((9, 16), np.bool_)

@@ -81,7 +81,7 @@ def run(
         published: The pose that stands on the topics now, if any.
         published_cameras: The poses of placed cameras that stand there.
         check: Raises where a calibration that is good may not be published all the same.
-        save: Writes the result file.
+        save: Writes the result file, or raises CANCELLED where the node has begun to end.
         progress: Told the stage and its fraction done.
         should_stop: Asked whether to end early.
 
@@ -100,7 +100,7 @@ def run(
         calibration = found
         save(calibration, appraisal)
     except CalibrationError as error:
-        reason, message = error.reason, error.message
+        calibration, reason, message = None, error.reason, error.message
         if error.calibration is not None:
             appraisal = appraise(snapshot, error.calibration)
     except RpgdError as error:

@@ -13,6 +13,8 @@ from typing import TypeVar
 from rclpy.executors import Executor
 from rclpy.task import Future
 
+from rpgd_ros.core.errors import CalibrationError, Reason
+
 T = TypeVar('T')
 
 JOIN_SECONDS = 0.3  # the executor has waited before: the thread is gone or does not listen
@@ -94,8 +96,16 @@ class Worker:
 
     @contextmanager
     def uncut(self) -> Iterator[None]:
-        """Keep the process alive while a file is written."""
+        """Keep the process alive while a file is written.
+
+        Raises:
+            CalibrationError: CANCELLED. It is to end: `join` may have been and gone already.
+
+        """
         with self._writing:
+            if self.should_stop():
+                msg = 'the node is shutting down; nothing was written'
+                raise CalibrationError(Reason.CANCELLED, msg)
             yield
 
     def request_stop(self) -> None:
