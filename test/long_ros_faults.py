@@ -27,6 +27,7 @@ from test_ros_faults_life import start_and_stop
 
 from rpgd_ros.core.errors import InputError
 from rpgd_ros.messages import encode_pose_array
+from rpgd_ros.ros.client import NODE
 from rpgd_ros.ros.player import Timed
 from rpgd_ros.simulation.export import MOCAP_TOPIC
 
@@ -37,7 +38,10 @@ SOAK_SECONDS = float(os.environ.get('RPGD_ROS_SOAK_SECONDS', '1800'))
 FUZZ_SECONDS = float(os.environ.get('RPGD_ROS_FUZZ_SECONDS', '600'))
 MESSAGES_PER_S = 1080.0
 CALL_EVERY_S = 15.0
-MAX_SOLVE_S = 90.0  # of the node's own limit of 60 s
+# The node's own limit of 60 s is that of the solve; pairing, a second look at the data and the
+# save come on top, and whatever else the machine does.
+MAX_ANSWER_S = 180.0
+LATE_S = 60.0  # more, until an answer is given up for lost
 WARM_SHARE = 0.25  # of the time, until every bounded container is full
 MAX_SLOPE_MIB_PER_MIN = 1.0
 
@@ -108,11 +112,24 @@ def threads(pid: int) -> int:
     return len(list(Path(f'/proc/{pid}/task').iterdir()))
 
 
-def call(node: Live, n_calls: list[int]) -> None:
-    """Call ~/calibrate and wait for whatever it answers, while nothing else is sent."""
-    called = node.client.calibrate(seconds=MAX_SOLVE_S)
-    n_calls[0] += 1
-    n_calls[1] += called is not None
+def call(node: Live) -> str:
+    """Call ~/calibrate and wait for whatever it answers, while nothing else is sent.
+
+    Returns:
+        All that is known of a call without an answer; '' = it was answered.
+
+    """
+    called = node.peer.begin_call(f'{NODE}/calibrate', seconds=WAIT_S)
+    if called is not None and node.peer.wait_until(called.done, seconds=MAX_ANSWER_S):
+        return ''
+    said, output = node.sentence(), node.child.output[-2000:]
+    if called is None:
+        late = 'the service is not there'
+    elif node.peer.wait_until(called.done, seconds=LATE_S):
+        late = f'answered within {LATE_S:.0f} s more: {called.result().message[:200]}'
+    else:
+        late = f'nor within {LATE_S:.0f} s more'
+    return f'no answer in {MAX_ANSWER_S:.0f} s, {late}; status: {said!r}; output: ...{output}'
 
 
 @pytest.mark.fault(35)
@@ -124,7 +141,7 @@ def test_half_an_hour_of_studio_changes_nothing(
     seconds = (walk.messages[-1][1] - walk.messages[0][1]) / S
     rate = MESSAGES_PER_S * seconds / len(walk.messages)
     usage: list[tuple[float, float, int, int]] = []
-    n_calls = [0, 0]
+    n_calls, unanswered = 0, list[str]()
     with live(rig, 'buffer.max_frames:=5000', 'auto.enabled:=true', 'auto.period_s:=5.0') as node:
         node.advertise(walk.topics)
         pid, start, n = node.child.process.pid, time.monotonic(), 0
@@ -134,10 +151,11 @@ def test_half_an_hour_of_studio_changes_nothing(
             n += 1
             if time.monotonic() - last_call > CALL_EVERY_S:
                 last_call = time.monotonic()
-                call(node, n_calls)
+                n_calls += 1
+                unanswered += filter(None, [call(node)])
                 # Between two solves, when no thread is at work.
                 idle = lambda: 'Calibrating' not in node.sentence()  # noqa: E731
-                node.wait_until('busy', idle, seconds=MAX_SOLVE_S)
+                node.wait_until('busy', idle, seconds=MAX_ANSWER_S)
                 usage.append((elapsed, resident_mib(pid), threads(pid), descriptors(pid)))
         n_sent = sum(node.received().values())
         assert node.child.end(signal.SIGTERM, seconds=WAIT_S) == 0
@@ -145,12 +163,13 @@ def test_half_an_hour_of_studio_changes_nothing(
         assert 'internal error' not in node.child.output
     warm = np.array([row for row in usage if row[0] > WARM_SHARE * SOAK_SECONDS])
     slope = 60.0 * np.polyfit(warm[:, 0], warm[:, 1], 1)[0]
-    measured('memory', float(slope), 'MiB/min', n=n_calls[0])
-    measured(f'{n_calls[1]} of {n_calls[0]} calls answered, {n_sent} messages received')
+    measured('memory', float(slope), 'MiB/min', n=n_calls)
+    n_answered = n_calls - len(unanswered)
+    measured(f'{n_answered} of {n_calls} calls answered, {n_sent} messages received')
     measured(', '.join(f'{count} {kind}' for kind, count in sorted(soak.n_faults.items())))
     measured('threads', float(np.ptp(warm[:, 2])), 'more or fewer')
     measured('descriptors', float(np.ptp(warm[:, 3])), 'more or fewer')
-    assert n_calls[0] == n_calls[1]
+    assert not unanswered, '\n'.join(unanswered)
     assert slope < MAX_SLOPE_MIB_PER_MIN, usage
     assert np.ptp(warm[:, 2]) <= 1, usage  # a solver's thread may be about to end
     assert np.ptp(warm[:, 3]) <= 2, usage

@@ -222,7 +222,10 @@ class Peer:
 
         """
         future = self.begin_call(service, seconds=seconds)
-        if future is None or not self.wait_until(future.done, seconds=seconds):
+        if future is None:
+            return None
+        if not self.wait_until(future.done, seconds=seconds):
+            self._clients[service].remove_pending_request(future)
             return None
         return future.result()
 
