@@ -17,6 +17,7 @@ from shoot_files import write_bvh, write_c3d, write_csv, write_trc
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.importing import c3d, text
+from rpgd_ros.importing.plan import COMMON_FPS
 from rpgd_ros.importing.skeleton import settle
 from rpgd_ros.importing.skeleton_files import read_skeleton
 from rpgd_ros.skeletons import CONVENTIONS
@@ -146,6 +147,38 @@ def test_what_is_written_is_read_back(
     order = [found.joints.index(name) for name in JOINTS]
     np.testing.assert_allclose(found.values[:, order], x, atol=atol)
     np.testing.assert_allclose(found.time_s, np.arange(n_frames) / 100.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('fps', 'decimals'),
+    [*((fps, 3) for fps in COMMON_FPS), (29.97, 2), (59.94, 2), (60, 2), (400, 3), (500, 3)],
+)
+@pytest.mark.parametrize('kind', ['trc', 'csv'])
+@pytest.mark.parametrize('n_lost', [0, 7, 300])
+def test_rounded_times_have_the_rate_that_the_file_states(
+    tmp_path: Path, kind: str, fps: float, decimals: int, n_lost: int
+) -> None:
+    """With and without a gap: its own rate, whether it is stated or asked for again."""
+    path = tmp_path / 'walk'
+    frames = np.delete(np.arange(1000), np.arange(300, 300 + n_lost))
+    times = [f'{frame / fps:.{decimals}f}' for frame in frames]
+    if kind == 'trc':
+        head = TRC[: TRC.index('5\t')].replace('100\t100\t3', f'{fps}\t{fps}\t{len(frames)}')
+        rows = [f'{n + 1}\t{t}\t1\t2\t3\t900\t5\t6' for n, t in zip(frames, times, strict=True)]
+    else:
+        head = f'# units: mm\n# fps: {fps}\ntime,LHip.x,LHip.y,LHip.z,RHip.x,RHip.y,RHip.z\n'
+        rows = [f'{t},1,2,3,900,5,6' for t in times]
+    path.write_text('\n'.join([head.rstrip(), *rows, '']))
+    found = read_skeleton(path)
+    tolerance = 10.0**-decimals / (999.0 / fps)
+    assert found.fps == pytest.approx(fps, rel=tolerance)
+    settled = settle(found, fps=fps)
+    assert settled.warnings == ()
+    np.testing.assert_allclose(settled.time_s, frames / fps, atol=1.5 * 10.0**-decimals)
+    if kind == 'trc':  # renumbered, as programs do that cut out a piece
+        renumbered = [f'{i}\t{row.partition(chr(9))[2]}' for i, row in enumerate(rows)]
+        path.write_text('\n'.join([head.rstrip(), *renumbered, '']))
+        assert read_skeleton(path).fps == found.fps
 
 
 def test_c3d_is_read_through_its_library(tmp_path: Path) -> None:

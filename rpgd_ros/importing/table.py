@@ -11,7 +11,7 @@ import numpy as np
 
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.importing.skeleton import AXES, MAX_FPS, SAME_RATE, Axis, SkeletonFile
+from rpgd_ros.importing.skeleton import AXES, MAX_FPS, SAME_RATE, Axis, SkeletonFile, frame_rate
 from rpgd_ros.importing.text import check_times, number, numbers, read_lines, refuse, shown
 from rpgd_ros.importing.timecode import RATES, Timecode, count
 from rpgd_ros.io.rig import METRES_PER
@@ -120,7 +120,7 @@ def _rate(path: Path, facts: dict[str, tuple[str, int]]) -> float:
 def _check_rate(path: Path, facts: dict[str, tuple[str, int]], time_s: Array) -> None:
     if 'fps' not in facts:
         return
-    stated, found = _rate(path, facts), 1.0 / float(np.median(np.diff(time_s)))
+    stated, found = _rate(path, facts), frame_rate(time_s)
     if abs(found / stated - 1.0) > SAME_RATE:
         msg = (
             f'fps is {stated:g}, but the times run at {found:.4g} Hz: give the true rate with '
