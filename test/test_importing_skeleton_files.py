@@ -203,6 +203,28 @@ def test_c3d_is_read_through_its_library(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.values[0], 1000.0 * x[0], rtol=1e-5)
 
 
+@pytest.mark.parametrize('subject', ['', 'Anna:'])
+@pytest.mark.parametrize('group', ['ANGLES', 'MOMENTS', 'FORCES', 'POWERS', 'SCALARS', 'ANGLES2'])
+def test_c3d_with_results_of_a_model_gives_the_positions_only(
+    tmp_path: Path, group: str, subject: str
+) -> None:
+    """Degrees and newton millimetres, which Vicon stores as points and names in groups."""
+    ezc3d = pytest.importorskip('ezc3d')
+    x = body(4)
+    file = ezc3d.c3d()
+    point = file['parameters']['POINT']
+    point['UNITS']['value'], point['RATE']['value'] = ['mm'], [50.0]
+    point['LABELS']['value'] = [f'Anna:{n}' for n in (JOINTS[0], 'LHipResult', *JOINTS[1:])]
+    points = np.full((4, len(JOINTS) + 1, len(x)), 90_000.0)
+    points[:3, [0, *range(2, len(JOINTS) + 1)]] = 1000.0 * x.transpose(2, 1, 0)
+    file['data']['points'] = points
+    file.add_parameter('POINT', group, [f'{subject}LHipResult  '])
+    file.write(str(tmp_path / 'a.c3d'))
+    found = read_skeleton(tmp_path / 'a.c3d')
+    assert found.joints == JOINTS
+    np.testing.assert_allclose(settle(found).x_mocap, x, rtol=1e-5)
+
+
 def test_c3d_with_a_timecode_or_two_rates_says_so(tmp_path: Path) -> None:
     """A section that is not published is not guessed at; the parameters' rate is taken."""
     ezc3d = pytest.importorskip('ezc3d')

@@ -39,8 +39,8 @@ Parameters = Mapping[str, list[Any]]
 def read_c3d(path: Path) -> SkeletonFile:
     """Read the points of a C3D file.
 
-    Unlabelled points (`*12`) are left out, and the name of the subject before a colon is taken off
-    where all labels have the same.
+    Unlabelled points (`*12`) and the results of a model (angles, moments, ...) are left out, and
+    the name of the subject before a colon is taken off where all labels have the same.
 
     Raises:
         InputError: BAD_INPUT or WRONG_UNIT; ezc3d is not installed.
@@ -55,7 +55,9 @@ def read_c3d(path: Path) -> SkeletonFile:
     parameters, points = _in_a_child(path, seconds)
     rate = _rate(path, parameters)
     labels = _labels(path, parameters, points.shape[1])
+    outputs = {_without_subject([str(name).strip()])[0] for name in parameters['OUTPUTS']}
     keep = [j for j, label in enumerate(labels) if label and not label.startswith('*')]
+    keep = [j for j in keep if _without_subject([labels[j]])[0] not in outputs]
     values = points[:, keep].transpose(2, 1, 0)
     up = _text(parameters, 'Y_SCREEN').lstrip('+-').lower()
     return SkeletonFile(

@@ -10,12 +10,15 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import re
 import resource
 import sys
 from typing import Any, BinaryIO
 
 import numpy as np
 
+# Groups in which Vicon names the points that are no positions, each also as ANGLES2 and so on.
+OUTPUTS = r'(ANGLES|MOMENTS|FORCES|POWERS|SCALARS|REACTIONS)\d*'
 MAX_MEMORY = 2**33  # bytes; a file of 33 MiB (60 markers, 36 000 frames) takes 0.6 GiB
 
 
@@ -37,6 +40,9 @@ def _read(path: str, output: BinaryIO) -> None:
     parameters = file['parameters']['POINT']
     labels = [f'LABELS{i}' for i in ('', *range(2, 10))]  # 255 in each
     facts = {key: _values(parameters, key) for key in ('RATE', 'UNITS', 'Y_SCREEN', *labels)}
+    facts['OUTPUTS'] = [
+        v for key in parameters if re.fullmatch(OUTPUTS, key) for v in _values(parameters, key)
+    ]
     facts['FIRST'] = [int(file['header']['points']['first_frame'])]
     facts['SHAPE'] = list(points.shape)
     facts['TIMECODE'] = sorted(file['parameters'].get('TIMECODE', {}))
