@@ -8,8 +8,10 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from sqlite3 import connect
+from typing import Literal
 
 import pytest
+import yaml
 from bags import (
     MCAP_MAGIC,
     SKELETON,
@@ -25,6 +27,11 @@ from bags import (
 from rpgd_ros.core import InputError
 from rpgd_ros.io.bag import open_bag
 from rpgd_ros.io.rescue import Rescue
+
+try:
+    from backports import zstd
+except ImportError:  # what rosbags needed before
+    import zstandard as zstd  # type: ignore[import-not-found,no-redef]
 
 Write = Callable[[Path, list[Message]], Path]
 
@@ -164,6 +171,80 @@ def test_records_that_lie_end_or_are_left_out(tmp_path: Path, tail: bytes) -> No
     with open_bag(path) as bag:
         assert len(list(bag.stream(list(bag.topics)))) == 20
         assert bag.is_partial
+
+
+def pieces(folder: Path, messages: list[Message]) -> list[Path]:
+    """Write a recording in three files, each compressed as a whole."""
+    folder.mkdir(exist_ok=True)
+    third = len(messages) // 3
+    files = [folder / f'walk_{i}.mcap.zstd' for i in range(3)]
+    for i, file in enumerate(files):
+        file.write_bytes(zstd.compress(mcap_bytes(messages[third * i : third * (i + 1)])))
+    return files
+
+
+def read_all(path: Path) -> tuple[list[tuple[str, int, bytes]], str]:
+    """Return the messages of a bag, and what was wrong with it."""
+    with open_bag(path) as bag:
+        return list(bag.stream(list(bag.topics))), bag.problem
+
+
+def as_read(messages: list[Message]) -> list[tuple[str, int, bytes]]:
+    """Return messages as a bag yields them."""
+    return [(m.topic, m.receive_ns, m.payload) for m in messages]
+
+
+@pytest.mark.fault(22)
+def test_recorder_killed_while_it_compresses_loses_no_file(tmp_path: Path) -> None:
+    """The last file is not compressed yet, and there is no metadata.yaml."""
+    messages = walk(30)
+    files = pieces(tmp_path / 'walk', messages)
+    last = files[2]
+    last.with_suffix('').write_bytes(zstd.decompress(last.read_bytes()))
+    for is_half_there in (True, False):
+        last.write_bytes(last.read_bytes()[:20]) if is_half_there else last.unlink()
+        got, problem = read_all(tmp_path / 'walk')
+        assert got == as_read(messages)
+        assert 'metadata.yaml is missing' in problem
+        assert 'zstd' not in problem
+
+
+@pytest.mark.fault(22)
+@pytest.mark.parametrize('damage', ['missing', 'no zstd', 'cut'])
+def test_compressed_file_that_is_lost_costs_no_other(tmp_path: Path, damage: str) -> None:
+    """The others are read, and the lost one is named."""
+    messages = walk(30)
+    folder = write_bag(tmp_path / 'walk', messages, compression='file')
+    storage_file(folder).unlink()
+    files = pieces(folder, messages)
+    metadata = folder / 'metadata.yaml'
+    tree = yaml.safe_load(metadata.read_text())
+    tree['rosbag2_bagfile_information']['relative_file_paths'] = [f.name for f in files]
+    metadata.write_text(yaml.safe_dump(tree))
+    assert read_all(folder) == (as_read(messages), '')
+    data = files[1].read_bytes()
+    files[1].unlink()
+    if damage != 'missing':
+        files[1].write_bytes(b'no zstd at all' if damage == 'no zstd' else data[:10])
+    got, problem = read_all(folder)
+    assert got == as_read(messages[:20] + messages[40:])
+    assert problem.startswith(f'40 of 60 messages: {files[1]}: ')
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_compressed_file_alone_is_a_bag(
+    tmp_path: Path, storage: Literal['mcap', 'sqlite3']
+) -> None:
+    """As an uncompressed one is; a complaint names it, not where it was unpacked."""
+    messages = walk(30)
+    file = storage_file(
+        write_bag(tmp_path / 'walk', messages, storage=storage, compression='file')
+    )
+    assert read_all(file) == (as_read(messages), '')
+    (tmp_path / 'text.txt.zstd').write_bytes(zstd.compress(b'no bag at all'))
+    with pytest.raises(InputError, match='cannot be read as a rosbag2') as refused:
+        open_bag(tmp_path / 'text.txt.zstd')
+    assert refused.value.message.startswith(f'{tmp_path / "text.txt.zstd"}: ')
 
 
 def test_nothing_left_is_refused(tmp_path: Path) -> None:

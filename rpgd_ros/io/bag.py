@@ -156,8 +156,9 @@ def open_bag(path: Path | str) -> Bag:
     """Open a recording.
 
     Args:
-        path: The folder with metadata.yaml, or one .mcap or .db3 file. Without its metadata.yaml
-            a folder is read file by file, and of damaged files what is left.
+        path: The folder with metadata.yaml, or one .mcap or .db3 file, also with .zstd behind it.
+            Without its metadata.yaml a folder is read file by file, and of damaged files what is
+            left.
 
     Raises:
         InputError: It cannot be read at all.

@@ -19,6 +19,7 @@ from rpgd_ros.io.strict import MAX_BYTES, read_yaml
 from rpgd_ros.io.translation import Translation, bad_bag
 
 STORAGE_SUFFIXES = ('.mcap', '.db3')
+PACKED_SUFFIX = '.zstd'  # behind the other one, where whole files are compressed
 
 
 class StorageReader(Protocol):
@@ -63,27 +64,29 @@ def open_storages(path: Path, stack: ExitStack) -> Storages:
     bound_rosbags()
     if not path.is_dir():
         return _open_files([path], stack, problems=[])
+    problems: list[str] = []
     try:
         information = _metadata(path)
-        if str(information.get('compression_mode')).lower() == 'file':
-            files = _unpacked(path, information, stack)
-            return _open_files(files, stack, problems=[])._replace(claimed=_claimed(path))
-        return Storages([_open_reader(path, stack)])
+        if str(information.get('compression_mode')).lower() != 'file':
+            return Storages([_open_reader(path, stack)])
+        files = _named_files(path, information)
     except InputError as error:
-        files = [p for p in path.iterdir() if p.suffix in STORAGE_SUFFIXES and p.is_file()]
-        storages = _open_files(sorted(files, key=_natural_order), stack, [error.message])
-        return storages._replace(claimed=_claimed(path))
+        problems.append(error.message)
+        files = _files_of(path)
+    return _open_files(files, stack, problems)._replace(claimed=_claimed(path))
 
 
 def _open_files(files: Sequence[Path], stack: ExitStack, problems: list[str]) -> Storages:
     """Open files one by one; of damaged ones, what is left."""
     readers: list[StorageReader] = []
     for file in files:
+        plain = file
         try:
-            readers.append(_open_reader(file, stack))
+            plain = _unpacked(file, stack) if file.suffix == PACKED_SUFFIX else file
+            readers.append(_open_reader(plain, stack))
         except InputError as error:
-            problems.append(error.message)
-            rescue = _rescue(file)
+            problems.append(error.message.replace(str(plain), str(file)))
+            rescue = _rescue(plain)
             if rescue is not None:
                 readers.append(rescue)
     if not readers:
@@ -106,16 +109,33 @@ def _open_reader(path: Path, stack: ExitStack) -> Reader:
         return reader
 
 
-def _unpacked(path: Path, information: Mapping[str, Any], stack: ExitStack) -> list[Path]:
-    """Decompress the files of a recording into a folder that the stack removes."""
-    folder = Path(stack.enter_context(TemporaryDirectory(prefix='rpgd_ros_')))
-    files = []
+def _named_files(path: Path, information: Mapping[str, Any]) -> list[Path]:
+    """Return the files of a recording as its metadata.yaml names them."""
     with Translation(path):
-        for i, name in enumerate(information['relative_file_paths']):
-            packed = path / PurePath(name).name
-            files.append(folder / f'{i}_{packed.stem}')
-            unpack_file(packed, files[-1])
+        files = [path / PurePath(name).name for name in information['relative_file_paths']]
+    if not files:
+        raise bad_bag(path, 'metadata.yaml names no file')
     return files
+
+
+def _files_of(path: Path) -> list[Path]:
+    """Return the files of a folder that look like those of a recording, in their order."""
+    files = {p.name: p for p in path.iterdir() if p.is_file()}
+    found = []
+    for name, file in files.items():
+        plain = name.removesuffix(PACKED_SUFFIX)
+        # A recorder that is killed while it compresses a file leaves both, and the other is whole.
+        if PurePath(plain).suffix in STORAGE_SUFFIXES and (plain == name or plain not in files):
+            found.append(file)
+    return sorted(found, key=_natural_order)
+
+
+def _unpacked(packed: Path, stack: ExitStack) -> Path:
+    """Decompress a file into a folder that the stack removes."""
+    with Translation(packed):
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix='rpgd_ros_')))
+        unpack_file(packed, folder / packed.stem)
+    return folder / packed.stem
 
 
 def _rescue(file: Path) -> Rescue | None:
