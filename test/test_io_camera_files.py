@@ -86,6 +86,40 @@ def test_qualisys_camera_that_is_switched_off_is_left_out() -> None:
     assert [c.name for c in parse_cameras(text, 'q').cameras] == ['cam1']
 
 
+@pytest.mark.parametrize(('lines', 'scale'), [(1080, 1.0), (720, 1.5), (540, 2.0)])
+def test_qualisys_camera_has_the_size_of_its_video(lines: int, scale: float) -> None:
+    """QTM counts pixels of the whole sensor; at 720p the video has two thirds of them."""
+    camera = make_camera(0, n_coefficients=4)
+    text = qualisys_text([camera]).replace('active="1"', f'active="1" video_resolution="{lines}p"')
+    (found,) = parse_cameras(text, 'x.qca.txt').cameras
+    assert found.size == (1920 * lines // 1080, lines)
+    np.testing.assert_allclose(found.matrix[:2], camera.matrix[:2] / scale, rtol=1e-12)
+    np.testing.assert_allclose(found.distortion, camera.distortion)
+
+
+def test_qualisys_camera_with_a_part_of_the_sensor_is_scaled_behind_its_corner() -> None:
+    """Left and top are pixels of the sensor too."""
+    camera = make_camera(0)
+    text = qualisys_text([camera]).replace('active="1"', 'active="1" video_resolution="720p"')
+    text = text.replace('fov_video left="0" top="0"', 'fov_video left="480" top="270"')
+    (found,) = parse_cameras(text, 'x.qca.txt').cameras
+    assert found.size == (960, 540)
+    middle = (camera.matrix[:2, 2] - [480, 270]) / 1.5
+    np.testing.assert_allclose(found.matrix[:2, 2], middle, rtol=1e-12)
+
+
+def test_qualisys_marker_camera_may_be_turned() -> None:
+    """It has no video that could be: the others are read; alone, it is refused as they are."""
+    for cameras, names in (([make_camera(0), make_camera(1)], ['cam1']), ([make_camera(0)], [])):
+        text = qualisys_text(cameras).replace('Miqus Video', 'Miqus M3', 1)
+        text = text.replace('viewrotation="0"', 'viewrotation="180" video_resolution="N/A"', 1)
+        if names:
+            assert [c.name for c in parse_cameras(text, 'q').cameras] == names
+        else:
+            with pytest.raises(InputError, match="camera cam0: viewrotation '180'"):
+                parse_cameras(text, 'q')
+
+
 @pytest.mark.parametrize('fisheye', [False, True])
 def test_kalibr_chain_becomes_poses_in_the_first_camera(*, fisheye: bool) -> None:
     """Each camera is given relative to the one before."""

@@ -55,6 +55,12 @@ cameras: [{name: cam0, keypoints: coco17}]
         ('qualisys', 'r22="-0', 'r22="-9', r'camera cam0.transform: no rotation'),
         ('qualisys', 'focalLengthU', 'focalU', r'camera cam0.intrinsic: focalLengthU is missing'),
         ('qualisys', 'viewrotation="0"', 'viewrotation="90"', r'viewrotation .* Turn the view'),
+        (
+            'qualisys',
+            'active="1"',
+            'active="1" video_resolution="4K"',
+            r"camera cam0: video_resolution '4K' is unknown, need 1080p",
+        ),
         ('qualisys', '<fov_video', '<fov', r'camera cam0: <fov_video> is missing'),
         ('qualisys', 'active="1"', 'active="0"', r'need 1 to 128 active cameras, got 0'),
         ('qualisys', '<calibration', '<!DOCTYPE x><calibration', 'with a DOCTYPE is not taken'),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 from xml.etree import ElementTree as ET
 
@@ -20,6 +21,8 @@ OPENCV_R_QTM: Final = np.diag([1.0, -1.0, -1.0])
 RADIAL: Final = ('radialDistortion1', 'radialDistortion2')
 TANGENTIAL: Final = ('tangentalDistortion1', 'tangentalDistortion2')  # QTM's own spelling
 MAX_CAMERAS: Final = 128
+# Whatever the resolution of the video, QTM counts the pixels of the sensor, as Pose2Sim reads it.
+SENSOR_LINES: Final = 1080
 
 
 def read_qualisys(root: ET.Element, source: str) -> tuple[Camera, ...]:
@@ -31,17 +34,40 @@ def read_qualisys(root: ET.Element, source: str) -> tuple[Camera, ...]:
         InputError: BAD_INPUT, naming element and attribute.
 
     """
-    elements = [e for e in root.findall('cameras/camera') if e.get('active', '1') != '0']
+    active = [e for e in root.findall('cameras/camera') if e.get('active', '1') != '0']
+    # A marker camera that hangs upside down has no video whose turn would matter.
+    elements = [e for e in active if _turn(e) == '0' or _has_video(e)] or active
     if not 0 < len(elements) <= MAX_CAMERAS:
         msg = f'{source}: need 1 to {MAX_CAMERAS} active cameras, got {len(elements)}'
         raise InputError(Reason.BAD_INPUT, msg)
     return tuple(_camera(e, source, i) for i, e in enumerate(elements))
 
 
+def _turn(element: ET.Element) -> str:
+    return element.get('viewrotation', '0')
+
+
+def _has_video(element: ET.Element) -> bool:
+    """Whether a camera films, by its model: Miqus Video, or none where another program wrote it."""
+    model = element.get('model', 'none').lower()
+    return 'video' in model or model == 'none'
+
+
+def _scale(element: ET.Element, here: Node) -> float:
+    """Return the pixels of the video by those of the sensor."""
+    text = element.get('video_resolution', 'N/A')
+    if text == 'N/A':
+        return 1.0
+    lines = re.fullmatch(r'(\d{3,4})p', text)
+    if lines is None or int(lines[1]) > SENSOR_LINES:
+        here.refuse(f'video_resolution {shown(text)} is unknown, need 1080p, 720p, 540p or N/A')
+    return int(lines[1]) / SENSOR_LINES
+
+
 def _camera(element: ET.Element, source: str, index: int) -> Camera:
     serial = element.get('serial') or str(index + 1)
     here = Node(None, source, Reason.BAD_INPUT, f'camera {serial[:80]}')
-    turn = element.get('viewrotation', '0')
+    turn = _turn(element)
     if turn != '0':
         here.refuse(
             f'viewrotation {shown(turn)}: the video may be turned or not. Turn the view in QTM to '
@@ -50,15 +76,17 @@ def _camera(element: ET.Element, source: str, index: int) -> Camera:
     lens = _Attributes(element, 'intrinsic', here)
     fov = _Attributes(element, 'fov_video', here)
     left, top = fov['left'], fov['top']
+    scale = _scale(element, here)
     size = (
-        whole(fov.at('right', fov['right'] - left + 1.0)),
-        whole(fov.at('bottom', fov['bottom'] - top + 1.0)),
+        whole(fov.at('right', round((fov['right'] - left + 1.0) * scale, 6))),
+        whole(fov.at('bottom', round((fov['bottom'] - top + 1.0) * scale, 6))),
     )
     fx, fy, cx, cy = (
         lens[key] / SUBPIXELS
         for key in ('focalLengthU', 'focalLengthV', 'centerPointU', 'centerPointV')
     )
     intrinsics = np.array([[fx, 0.0, cx - left], [0.0, fy, cy - top], [0.0, 0.0, 1.0]])
+    intrinsics[:2] *= scale
     distortion = [lens[key] for key in (*RADIAL, *TANGENTIAL)]
     if lens.get('radialDistortion3'):
         distortion.append(lens['radialDistortion3'])
