@@ -48,7 +48,7 @@ def _turn(element: ET.Element) -> str:
 
 
 def _has_video(element: ET.Element) -> bool:
-    """Whether a camera films, by its model: Miqus Video, or none where another program wrote it."""
+    """Whether a camera films, by its model: Miqus Video, or `none` where Pose2Sim wrote it."""
     model = element.get('model', 'none').lower()
     return 'video' in model or model == 'none'
 
