@@ -52,11 +52,12 @@ def write_csv(
     x: Array,
     head: str = '# units: m\n',
     fps: float = MOCAP_FPS,
+    start_s: float = 0.0,
 ) -> None:
     """Write the documented table."""
     header = ','.join(['time', *(f'{j}.{a}' for j in joints for a in 'xyz')])
     rows = [
-        ','.join([f'{i / fps:.4f}', *('' if np.isnan(v) else f'{v:.6f}' for v in row)])
+        ','.join([f'{start_s + i / fps:.4f}', *('' if np.isnan(v) else f'{v:.6f}' for v in row)])
         for i, row in enumerate(x.reshape(len(x), -1))
     ]
     path.write_text(head + '\n'.join([header, *rows, '']))

@@ -64,6 +64,11 @@ def _csv(folder: Path, shoot: Shoot) -> dict[str, object]:
     return {'skeleton': folder / 'a.csv'}
 
 
+def _dates(folder: Path, shoot: Shoot) -> dict[str, object]:
+    write_csv(folder / 'a.csv', shoot.joints, shoot.x_mocap, start_s=1.7e9)
+    return {'skeleton': folder / 'a.csv', 'camera_start': '1700000000'}
+
+
 def _c3d(folder: Path, shoot: Shoot) -> dict[str, object]:
     write_c3d(folder / 'a.c3d', shoot.joints, shoot.x_mocap * 1000.0, units='mm')
     return {'skeleton': folder / 'a.c3d'}
@@ -101,7 +106,8 @@ def _qualisys(folder: Path, shoot: Shoot) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(
-    'files', [_trc, _bvh, _csv, _c3d, _openpose, _labels, _alphapose, _mmpose, _qualisys]
+    'files',
+    [_trc, _bvh, _csv, _dates, _c3d, _openpose, _labels, _alphapose, _mmpose, _qualisys],
 )
 def test_files_of_each_format_lead_to_the_known_transform(
     folder: Path, shoot: Shoot, files: Callable[[Path, Shoot], dict[str, object]]

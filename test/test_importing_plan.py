@@ -152,6 +152,29 @@ def test_bag_and_rig_hold_what_was_planned(tmp_path: Path) -> None:
         assert batch.receive_ns == sorted(batch.receive_ns)
 
 
+def test_times_that_are_dates_become_stamps_of_the_same_day(tmp_path: Path) -> None:
+    """Of Unix, as loggers write them: the first stamp of the recording is the first of the bag."""
+    skeleton = make_skeleton(50, start_s=1.7e9)
+    options: dict[str, Any] = {'joints': KEYPOINTS, 'fps': 50.0}
+    detections = make_detections(np.arange(25))
+    with pytest.raises(InputError, match=r'the skeleton from 1700000000.000 to .* --camera-start'):
+        plan_camera(skeleton, CAMERA, detections, **options)
+    camera = plan_camera(skeleton, CAMERA, detections, start_s=1.7e9 + 0.25, **options)
+    write_plan(Plan(skeleton, (camera,), 'studio'), tmp_path)
+    with open_recording(tmp_path / 'bag', read_rig(tmp_path / 'rig.yaml')) as recording:
+        first: dict[str, int] = {}
+        for batch in recording.batches():
+            first.setdefault(batch.topic, batch.receive_ns[0])
+    assert sorted(first.values()) == [START_NS, START_NS + 250_000_000]
+
+
+def test_rate_that_is_asked_for_moves_no_date() -> None:
+    """It stretches the recording, not the years before it."""
+    file = make_skeleton(start_s=1.7e9).source
+    found = settle(file, fps=50.0)
+    np.testing.assert_allclose(found.time_s, 1.7e9 + np.arange(1000) / 50.0, rtol=0, atol=1e-6)
+
+
 def test_stamps_count_from_a_fixed_day() -> None:
     """The same files give the same bag, and no stamp is zero."""
     assert stamps(np.array([0.0, 0.5, -0.5])).tolist() == [

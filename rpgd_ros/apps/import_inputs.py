@@ -16,7 +16,7 @@ from rpgd_ros.io.camera_files import read_cameras
 from rpgd_ros.io.rig_types import Units
 from rpgd_ros.skeletons import hint
 
-MAX_START_S = 86_400.0
+MAX_START_S = 2.0**31  # dates of Unix, up to 2038
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ import numpy as np
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, IntArray
 from rpgd_ros.importing.plan import CameraPlan, Plan
+from rpgd_ros.importing.skeleton import origin
 from rpgd_ros.io.bag import BagWriter, absolute_name
 from rpgd_ros.io.bag_writer import Storage
 from rpgd_ros.io.rig import MocapSource, Rig, RigCamera, parse_rig, rig_text, write_rig
@@ -38,9 +39,9 @@ def check_plan(plan: Plan) -> None:
         raise InputError(Reason.BAD_RIG, msg)
 
 
-def stamps(time_s: Array) -> IntArray:
-    """Return stamps (T,), ns, of times (T,), seconds."""
-    return START_NS + np.round(time_s * 1e9).astype(np.int64)
+def stamps(time_s: Array, origin_s: float = 0.0) -> IntArray:
+    """Return stamps (T,), ns, of times (T,), seconds, of which `origin_s` becomes 2000-01-01."""
+    return START_NS + np.round((time_s - origin_s) * 1e9).astype(np.int64)
 
 
 def write_plan(
@@ -73,7 +74,10 @@ def write_plan(
 
 def _messages(plan: Plan) -> Iterator[tuple[str, int, bytes]]:
     """Yield topic, stamp and message in the order of time."""
-    stamp_ns = [stamps(plan.skeleton.time_s), *(stamps(c.time_s) for c in plan.cameras)]
+    streams = [plan.skeleton.time_s, *(c.time_s for c in plan.cameras)]
+    # Seconds of Unix, added to that day, are more than a stamp can hold.
+    origin_s = origin(min(float(time_s[0]) for time_s in streams))
+    stamp_ns = [stamps(time_s, origin_s) for time_s in streams]
     stream_of = np.repeat(np.arange(len(stamp_ns)), [len(s) for s in stamp_ns])
     row_of = np.concatenate([np.arange(len(s)) for s in stamp_ns])
     order = np.lexsort((stream_of, np.concatenate(stamp_ns)))

@@ -26,6 +26,7 @@ SMALL_BODY_M, LARGE_BODY_M = 0.5, 2.5
 TYPICAL_BODY_M: Final = 1.5
 BODY_FRAMES: Final = 200  # looked at for size and axes
 SAME_RATE: Final = 0.01  # the ends of 0.1 s of times with three decimals
+LONGEST_S: Final = 86_400.0  # of a recording; later times are dates, such as those of Unix
 MAX_FPS: Final = 2000.0  # the fastest systems give 1000
 # The axis that becomes z, after the two that become x and y.
 _TURNS: Final[dict[str, Array]] = {
@@ -33,6 +34,11 @@ _TURNS: Final[dict[str, Array]] = {
     'y': np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
     'z': np.eye(3),
 }
+
+
+def origin(first_s: float) -> float:
+    """Return the second that a recording counts from: 0, or its first where times are dates."""
+    return first_s if abs(first_s) > LONGEST_S else 0.0
 
 
 def frame_rate(time_s: Array) -> float:
@@ -189,7 +195,8 @@ def _times(file: SkeletonFile, asked: float | None, warnings: list[str]) -> Arra
         warnings.append(
             f'the file states {stated:.4g} Hz, --mocap-fps says {asked:g}: taken as {asked:g}'
         )
-    return file.time_s * (stated / asked)
+    begin_s = origin(float(file.time_s[0]))
+    return begin_s + (file.time_s - begin_s) * (stated / asked)
 
 
 def _check_shape(file: SkeletonFile) -> None:
