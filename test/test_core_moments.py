@@ -34,7 +34,10 @@ def given() -> tuple[Problem, State]:
     centroid = np.nanmean(track.x_mocap, axis=(0, 1))
     n_joints = case.observations.n_joints
     random = np.random.default_rng(0)
-    problem = Problem(sights, Timeline(track), body_frames(track.x_mocap)[0], centroid)
+    timeline = Timeline(track)
+    middle_s = float(timeline.seconds(track.stamp_ns)[-1] / 2)
+    body = body_frames(track.x_mocap)[0]
+    problem = Problem(sights, timeline, body, centroid, middle_s=middle_s)
     state = replace(
         State.begin(case.truth.world_T_mocap, len(sights), n_joints),
         offset_s=np.array([0.005, 0.01, 0.02, 0.03]),

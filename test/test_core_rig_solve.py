@@ -229,12 +229,15 @@ def test_progress_of_each_stage_grows_over_all_cameras(studio: Twin) -> None:
 
 
 def test_common_warnings_are_said_once(studio: Twin) -> None:
-    """That no time is known concerns all cameras."""
+    """That no time is known concerns all cameras, and what one says is said with its name."""
     views = tuple(replace(view, stamp_ns=None) for view in studio.observations.views)
     rig = calibrate_cameras(
         blind(studio.cameras), Observations(views), config=CalibrationConfig.thorough()
     )
     assert len([w for w in rig.calibration.warnings if 'no time is known' in w]) == 1
+    odd = [replace(c, name=f'a+b\\c ({k}') for k, c in enumerate(blind(studio.cameras[:1]))]
+    one = calibrate_cameras(odd, Observations(views[:1]), config=CalibrationConfig.thorough())
+    assert [w for w in one.calibration.warnings if w.startswith('camera a+b\\c (0: no time')]
 
 
 def test_offsets_of_the_clocks_are_found_per_camera() -> None:

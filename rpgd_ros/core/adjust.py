@@ -101,6 +101,8 @@ class Problem:
         body: The mean shape of the body; None where it has no frame.
         centroid_mocap: (3,) centre of the body, metres.
         are_joints_noisy: Whether the track itself shows that its joints are noisy.
+        middle_s: Middle of the recording, seconds of the timeline: where a clock that runs wrong
+            is off by its offset alone.
 
     """
 
@@ -109,6 +111,7 @@ class Problem:
     body: BodyFrame | None
     centroid_mocap: Array
     are_joints_noisy: bool = False
+    middle_s: float = 0.0
 
     def noise_at(self, state: State, *, with_joints: bool) -> NoiseModel:
         """Fit the spread of the residuals of a state."""
@@ -120,14 +123,13 @@ class Problem:
     def scene(self, state: State) -> Scene:
         """Give each camera the skeletons of its clock, joints where its detector sees them."""
         sights, velocities, turns, times = [], [], [], []
-        middle = self._middle_s()
         for v, sight in enumerate(self.sights):
             x, seconds = sight.view.x_mocap, np.zeros(sight.view.n_frames)
             turn = None
             stamp_ns = sight.view.stamp_ns
             if self.timeline is not None and stamp_ns is not None:
                 t = self.timeline.seconds(stamp_ns)
-                seconds = t - middle
+                seconds = t - self.middle_s
                 t = t - state.offset_s[v] - state.rate[v] * seconds
                 x, velocity = self.timeline.at(t)
                 velocities.append(velocity)
@@ -146,13 +148,6 @@ class Problem:
             times.append(seconds)
             sights.append(Sight(camera, replace(sight.view, x_mocap=x)))
         return Scene(sights, velocities or None, turns or None, times, self.centroid_mocap)
-
-    def _middle_s(self) -> float:
-        if self.timeline is None:
-            return 0.0
-        stamps = [s.view.stamp_ns for s in self.sights if s.view.stamp_ns is not None]
-        ends = self.timeline.seconds(np.array([[s[0], s[-1]] for s in stamps]))
-        return 0.5 * float(ends.min() + ends.max())
 
 
 def look(problem: Problem, state: State, unknowns: Unknowns, loss: Loss) -> System:
@@ -173,7 +168,9 @@ def adjust(
     problem: Problem, state: State, unknowns: Unknowns, loss: Loss,
     *, max_steps: int, check: Callable[[float], None],
 ) -> tuple[State, System]:  # fmt: skip
-    """Go to the nearest optimum by Newton's method; cost and prior together never rise.
+    """Go to the nearest optimum by Newton's method.
+
+    Cost and prior together never rise, but for the last step, which is not looked at.
 
     Args:
         problem: What is given.

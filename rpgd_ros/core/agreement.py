@@ -17,7 +17,7 @@ from rpgd_ros.core.covariance import invert, larger, spread_between
 from rpgd_ros.core.errors import CalibrationError
 from rpgd_ros.core.geometry import Array, RigidTransform, so3_log
 from rpgd_ros.core.noise_fit import noise_at
-from rpgd_ros.core.observations import NS_PER_S
+from rpgd_ros.core.observations import NS_PER_S, real_ns
 from rpgd_ros.core.polish import polish
 from rpgd_ros.core.pool import make_pool
 from rpgd_ros.core.refine import Descent, finish
@@ -199,7 +199,7 @@ def lasts_long(sights: Sequence[Sight]) -> bool:
     spans = [
         s.view.n_frames / FRAMES_PER_S
         if s.view.stamp_ns is None
-        else (int(s.view.stamp_ns[-1]) - int(s.view.stamp_ns[0])) / NS_PER_S
+        else float(np.ptp(real_ns(s.view.stamp_ns, int(s.view.stamp_ns[0])))) / NS_PER_S
         for s in sights
         if s.view.n_frames
     ]

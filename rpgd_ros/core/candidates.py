@@ -12,6 +12,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 from rpgd_ros.core.observations import (
     NS_PER_S,
+    TAKE_NS,
     MocapTrack,
     Observations,
     View,
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-APART_NS = 1000 * NS_PER_S  # between recordings of several skeletons: no offset bridges it
+APART_NS = 1000 * NS_PER_S  # at least between two recordings: no offset bridges it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,11 +181,11 @@ def assemble(crowd: Crowd, chosen: Sequence[IntArray]) -> Observations:
 
 
 def shifts_ns(crowd: Crowd) -> IntArray:
-    """(S,) nanoseconds by which the recording of each skeleton is moved."""
+    """(S,) nanoseconds by which the recording of each skeleton is moved, see `real_ns`."""
     n_skeletons = crowd.views[0].x_mocap.shape[1] if crowd.views else 1
     stamps = [v.stamp_ns for v in crowd.views if v.stamp_ns is not None and v.n_frames]
     stamps += [t.stamp_ns for t in crowd.tracks if len(t.stamp_ns)]
     if not stamps:
         return np.zeros(n_skeletons, np.int64)
     span = max(int(s[-1]) for s in stamps) - min(int(s[0]) for s in stamps)
-    return np.arange(n_skeletons) * (span + APART_NS)
+    return np.arange(n_skeletons) * (-(-(span + APART_NS) // TAKE_NS) * TAKE_NS)

@@ -13,10 +13,10 @@ import numpy as np
 
 from rpgd_ros.core.agreement import chance, lasts_long
 from rpgd_ros.core.covariance import invert
-from rpgd_ros.core.examine import TIME_BLOCKS, time_blocks
-from rpgd_ros.core.geometry import Array, RigidTransform
+from rpgd_ros.core.examine import TIME_BLOCKS, time_blocks, times_s
+from rpgd_ros.core.geometry import Array, RigidTransform, so3_log
 from rpgd_ros.core.normal import normal_equations, spectrum
-from rpgd_ros.core.observations import NS_PER_S
+from rpgd_ros.core.refine import GOOD_STEP, descend, newton_step
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +29,7 @@ LEAST_BLOCKS = 6  # with data, to tell a trend from scatter
 # Least over largest eigenvalue of scaled sums. Sums of single precision leave 1e-5 where nothing
 # was seen; half a second of one camera has 6e-4.
 ROUNDING = 2e-5
+STEPS = 10  # of the descent of a stretch that is far off
 
 
 class Drift(NamedTuple):
@@ -84,11 +85,10 @@ def find_drift(
         None where no time is known, or too little of it.
 
     """
-    stamps = [s.view.stamp_ns for s in sights]
-    if any(s is None for s in stamps) or not lasts_long(sights):
+    if any(s.view.stamp_ns is None for s in sights) or not lasts_long(sights):
         return None
-    ends = [(int(s[0]), int(s[-1])) for s in stamps if s is not None]
-    seconds = (max(e for _, e in ends) - min(b for b, _ in ends)) / NS_PER_S
+    times = np.concatenate(times_s(sights))
+    seconds = float(times.max() - times.min())
     blocks = time_blocks(sights)
     opinions = []
     for number in range(TIME_BLOCKS):
@@ -98,15 +98,31 @@ def find_drift(
         ]
         part = [s for s in part if s.view.n_frames]
         if part:
-            normal = normal_equations(part, pose, pose @ centroid_mocap, loss)
-            # One joint of one camera does not tell all of a pose.
-            if spectrum(normal.information, normal.information).is_definite(ROUNDING):
-                middle = (number + 0.5) / TIME_BLOCKS - 0.5
-                step = -invert(normal.hessian, normal.information) @ normal.gradient
-                opinions.append((middle * seconds, step, normal.information))
+            middle = (number + 0.5) / TIME_BLOCKS - 0.5
+            found = _opinion(part, pose, centroid_mocap, loss)
+            if found is not None:
+                opinions.append((middle * seconds, *found))
     if len(opinions) < LEAST_BLOCKS:
         return None
     return _trend(opinions, seconds)
+
+
+def _opinion(
+    part: Sequence[Sight], pose: RigidTransform, centroid_mocap: Array, loss: Loss
+) -> tuple[Array, Array] | None:
+    """Where a stretch of time would put the body: step (6,) from the pose, and its information."""
+    normal = normal_equations(part, pose, pose @ centroid_mocap, loss)
+    # One joint of one camera does not tell all of a pose.
+    if not spectrum(normal.information, normal.information).is_definite(ROUNDING):
+        return None
+    step, decrement = newton_step(normal.hessian, normal.information, normal.gradient)
+    if decrement < GOOD_STEP:
+        return step, normal.information
+    # So far off that what drifted away looks like outliers from here.
+    near = descend(part, pose, centroid_mocap, loss, max_steps=STEPS, check=lambda _: None)
+    turn = so3_log(near.rotation @ pose.rotation.T)
+    step = np.concatenate([turn, near @ centroid_mocap - pose @ centroid_mocap])
+    return step, normal_equations(part, near, near @ centroid_mocap, loss).information
 
 
 def _trend(opinions: Sequence[tuple[float, Array, Array]], seconds: float) -> Drift:

@@ -11,6 +11,7 @@ import numpy as np
 from rpgd_ros.core.geometry import Array, BoolArray, Column, IntArray, RigidTransform
 from rpgd_ros.core.linearise import Residuals, Sight, linearise
 from rpgd_ros.core.normal import twist_from_delta
+from rpgd_ros.core.observations import NS_PER_S, real_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,14 +143,22 @@ def per_block(of_frame: Column, block: IntArray) -> Array:
 
 def time_blocks(sights: Sequence[Sight]) -> list[IntArray]:
     """Number each camera's frames by stretch of time, common to all: (F,), below TIME_BLOCKS."""
-    times = [
-        np.linspace(0.0, 1.0, s.view.n_frames) if s.view.stamp_ns is None else s.view.stamp_ns
-        for s in sights
-    ]
-    start = min(t[0] for t in times)
-    length = max(float(t[-1] - start) for t in times)
+    times = times_s(sights)
+    start = min(t.min() for t in times)
+    length = max(float(t.max() - start) for t in times)
     scale = TIME_BLOCKS / length if length > 0.0 else 0.0
     return [np.minimum((t - start) * scale, TIME_BLOCKS - 1).astype(np.int64) for t in times]
+
+
+def times_s(sights: Sequence[Sight]) -> list[Array]:
+    """(F,) seconds of each camera's frames since some instant; from 0 to 1 where none is known."""
+    known = [s.view.stamp_ns for s in sights if s.view.stamp_ns is not None]
+    return [
+        np.linspace(0.0, 1.0, s.view.n_frames)
+        if s.view.stamp_ns is None
+        else real_ns(s.view.stamp_ns, int(known[0][0])) / NS_PER_S
+        for s in sights
+    ]
 
 
 class _Book:

@@ -15,6 +15,7 @@ from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 NS_PER_S = 1_000_000_000
 LARGEST_STAMP_S = 9e9  # the year 2255, and what 64 bits of nanoseconds hold
 LOWEST_FPS, HIGHEST_FPS = 1e-3, 1e6  # a frame a quarter of an hour, a frame a microsecond
+TAKE_NS = 10_000_000 * NS_PER_S  # recordings of several skeletons follow each other at this
 LARGEST_COORDINATE = 1e6  # metres or pixels; beyond it a number is damage, not data
 
 
@@ -23,6 +24,13 @@ def is_there(points: Array) -> BoolArray:
     with np.errstate(invalid='ignore', over='ignore'):
         there: BoolArray = np.abs(points).max(-1) < LARGEST_COORDINATE  # False for NaN
     return there
+
+
+def real_ns(stamp_ns: IntArray, origin_ns: int) -> IntArray:
+    """(F,) time since (or before) some instant, of whichever skeleton the recording is."""
+    half = TAKE_NS // 2
+    real: IntArray = (stamp_ns - origin_ns + half) % TAKE_NS - half
+    return real
 
 
 @dataclass(frozen=True, slots=True, eq=False)

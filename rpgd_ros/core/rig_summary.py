@@ -78,15 +78,20 @@ def with_placed(
 
     """
     fits = dict(rig.per_camera)
-    offsets = dict(rig.time_offset_s)
+    offsets, rates = dict(rig.time_offset_s), dict(rig.clock_rate)
+    focal = dict(rig.focal_error)
     for own in alone.values():
         fits |= own.per_camera
         offsets |= own.time_offset_s
+        rates |= own.clock_rate
+        focal |= own.focal_error
     return replace(
         rig,
         camera_poses={name: poses[name] for name in order if name in poses},
         per_camera={name: fits[name] for name in order if name in fits},
         time_offset_s={name: offsets[name] for name in order if name in offsets},
+        clock_rate={name: rates[name] for name in order if name in rates},
+        focal_error={name: focal[name] for name in order if name in focal},
         warnings=(*rig.warnings, *_warnings(rig, alone), *told),
     )
 
@@ -97,7 +102,7 @@ def _warnings(rig: Calibration, alone: Mapping[str, Calibration]) -> list[str]:
     counts += Counter(rig.warnings)
     common = [w for w in counts if counts[w] > 1 and w not in rig.warnings]
     return common + [
-        w if re.search(rf'\b{name}\b', w) else f'camera {name}: {w}'
+        w if re.search(rf'(?<!\w){re.escape(name)}(?!\w)', w) else f'camera {name}: {w}'
         for name, own in alone.items()
         for w in own.warnings
         if counts[w] == 1

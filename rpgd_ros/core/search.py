@@ -49,6 +49,8 @@ def coarse_offset(
     half = int(span_s / GRID_S)
     grid = np.linspace(-half * GRID_S, half * GRID_S, 2 * half + 1)
     score = _scores(sight, timeline, grid, TRIPLETS, rng, check)
+    if not np.isfinite(score).any():
+        return 0.0
     best = grid[np.argsort(score, kind='stable')[:BEST]]
     steps = np.linspace(-GRID_S, GRID_S, 2 * round(GRID_S / FINE_S) + 1)
     fine: Array = np.unique(np.round((best[:, None] + steps).ravel(), 6))

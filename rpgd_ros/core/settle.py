@@ -117,7 +117,7 @@ def settle(
         at = settled(problem, at._replace(unknowns=held), check)
     if config.refine.joint_offsets and lasts_long(sights):
         # In less time a body hardly turns: then an offset of all joints looks like another pose.
-        problem, at = _with_joints(problem, at, _skeletons(sights, track), check)
+        problem, at = _with_joints(problem, at, some_skeletons(sights, track), check)
     # Minima that were rivals while the skeletons were late need not be rivals now.
     again = robust_start(problem.scene(at.state).sights, config.ransac, rng, check=check)
     refine = config.refine
@@ -151,26 +151,34 @@ def _clocks(
         at = settled(problem, Settled(begin, Unknowns((-1,) * n, (-1,) * n), noise), check)
         return problem, at, () if config.time.estimate_offset == 'off' else (NO_TIME,)
     timeline = Timeline(track, is_noisy=are_noisy)
-    problem = replace(problem, timeline=timeline)
+    problem = replace(problem, timeline=timeline, middle_s=_middle_s(sights, timeline))
     at = synchronise(problem, timeline, start, config, rng, check=check)
     if config.refine.joint_noise and at.noise.is_sharp:
         at = at._replace(noise=problem.noise_at(at.state, with_joints=True))
     at = without_unknown(problem, at, config.time.max_sigma_s, check)
     warnings = tuple(
-        f'camera {s.camera.name}: the motion does not tell the offset of its clock; none applied'
-        for s, column in zip(sights, at.unknowns.offset, strict=True)
+        f'camera {s.camera.name}: the motion does not tell the offset of its clock; '
+        + (f'{1000.0 * offset_s:.1f} ms applied, as of the others' if offset_s else 'none applied')
+        for s, column, offset_s in zip(sights, at.unknowns.offset, at.state.offset_s, strict=True)
         if column < 0
     )
     return problem, at, warnings
+
+
+def _middle_s(sights: Sequence[Sight], timeline: Timeline) -> float:
+    """Of the whole recording, in the seconds of its track."""
+    ends = [timeline.seconds(s.view.known_stamp_ns[[0, -1]]) for s in sights]
+    return 0.5 * float(np.min(ends) + np.max(ends))
 
 
 def _has_time(sights: Sequence[Sight], track: MocapTrack) -> bool:
     return len(track.stamp_ns) >= 2 and all(s.view.stamp_ns is not None for s in sights)
 
 
-def _skeletons(sights: Sequence[Sight], track: MocapTrack | None) -> Array:
-    """(F, J, 3) skeletons that the frame of the body is found from."""
+def some_skeletons(sights: Sequence[Sight], track: MocapTrack | None) -> Array:
+    """(F, J, 3) skeletons that the frame of the body is found from; NaN = missing."""
     x = max((s.view.x_mocap for s in sights), key=len) if track is None else track.x_mocap
+    x = x[is_there(x).any(1)]
     x = x[spread(len(x), TRACK_FRAMES)]
     return np.where(is_there(x)[..., None], x, np.nan)
 

@@ -146,13 +146,16 @@ def _beyond(rate: Array, sigma: Array) -> list[int]:
 def without_unknown(
     problem: Problem, at: Settled, max_sigma_s: float, check: Callable[[float], None]
 ) -> Settled:
-    """Set offsets to zero that the motion does not tell, and settle the rest again."""
+    """Set offsets to zero that the motion does not tell, and settle the rest again.
+
+    One that was taken from the other cameras stays.
+    """
     unknowns = at.unknowns
     sigma = sigmas(solved_at(problem, at.state, unknowns, at.noise))[unknowns.offsets]
     known = np.flatnonzero(sigma <= max_sigma_s).tolist()
     if len(known) == len(sigma):
         return at
-    is_known = np.array([c in known for c in unknowns.offset])
+    is_known = np.array([c < 0 or c in known for c in unknowns.offset])
     rates = sorted({r for r, k in zip(unknowns.rate, is_known, strict=True) if k and r >= 0})
     rest = replace(
         unknowns,

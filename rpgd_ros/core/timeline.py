@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rpgd_ros.core.geometry import Array, IntArray
+from rpgd_ros.core.geometry import Array, BoolArray, IntArray
 from rpgd_ros.core.observations import NS_PER_S, MocapTrack, is_there
 
 if TYPE_CHECKING:
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 TRACK_SAMPLES = 3000  # that the noise is measured on
 MAX_GAP_S = 0.1  # a limb swings through 10 cm meanwhile: no curve knows which way it went
+MAX_GAP_STEPS = 1.5  # of a track so slow that each of its steps is such a gap
+EVEN = 1.8  # longest over shortest of neighbouring steps: a missing sample makes it 2
 
 
 class Timeline:
@@ -40,7 +42,9 @@ class Timeline:
         self._t = self.seconds(track.stamp_ns)
         # A damaged sample would bend the curve between its neighbours, too.
         x = np.where(is_there(track.x_mocap)[..., None], track.x_mocap, np.nan)
-        self._x = _evened(x) if is_noisy else x
+        steps = np.diff(self._t)
+        self._max_gap_s = max(MAX_GAP_S, MAX_GAP_STEPS * float(np.median(steps)))
+        self._x = _evened(x, _are_even(steps)) if is_noisy else x
         self._slope = _slopes(self._t, self._x)
         self._turns: tuple[BodyFrame, Array] | None = None
 
@@ -59,7 +63,7 @@ class Timeline:
         before = np.clip(np.searchsorted(self._t, t, side='right') - 1, 0, last - 1)
         step = self._t[before + 1] - self._t[before]
         s = (t - self._t[before]) / step
-        inside = (s >= 0.0) & (s <= 1.0) & (step <= MAX_GAP_S)
+        inside = (s >= 0.0) & (s <= 1.0) & (step <= self._max_gap_s)
         if self._is_noisy:
             both = self._splined(before, s, step)
             gaps = ~np.isfinite(both)
@@ -87,7 +91,7 @@ class Timeline:
         return both
 
     def _splined(self, before: IntArray, s: Array, h: Array) -> Array:
-        """(F, 2, 3 J) the same by the cubic B-spline; NaN where one of four samples is missing."""
+        """(F, 2, 3 J) the same by the cubic B-spline; NaN without four samples, evenly spaced."""
         r = 1.0 - s
         s2, s3, r2, r3 = s * s, s**3, r * r, r**3
         weights = np.stack([
@@ -97,6 +101,7 @@ class Timeline:
         around = np.clip(before[:, None] + [-1, 0, 1, 2], 0, len(self._t) - 1)
         n = len(before)
         both: Array = weights.reshape(n, 2, 4) @ self._x[around].reshape(n, 4, -1)
+        both[~_are_even(np.diff(self._t[around], axis=1)).all(1)] = np.nan
         return both
 
     def turned(self, body: BodyFrame, t: Array) -> Array:
@@ -121,19 +126,28 @@ def track_noise_m(track: MocapTrack) -> float:
     Fourth differences cancel what is smooth: of a limb that swings at 2 Hz, sampled at 25 Hz, less
     than a millimetre is left.
     """
-    x = np.where(is_there(track.x_mocap)[..., None], track.x_mocap, np.nan)
-    rough = np.abs(np.diff(x[:TRACK_SAMPLES], 4, axis=0))
+    there = is_there(track.x_mocap)
+    some = np.flatnonzero(there.any(1))[:TRACK_SAMPLES]  # the person may come late
+    x = np.where(there[some][..., None], track.x_mocap[some], np.nan)
+    rough = np.abs(np.diff(x, 4, axis=0))
     rough = rough[np.isfinite(rough)]
     # Of normal noise the differences have a variance of 70, and half are below 0.6745 of a sigma.
     return float(np.median(rough)) / (0.6745 * np.sqrt(70.0)) if len(rough) else 0.0
 
 
-def _evened(x: Array) -> Array:
-    """Return means of three samples, weights 1 2 1, where all three are there."""
+def _are_even(steps: Array) -> BoolArray:
+    """(..., n - 1) whether neighbouring steps (..., n) are of one length, up to jitter."""
+    one, other = steps[..., :-1], steps[..., 1:]
+    even: BoolArray = np.maximum(one, other) <= EVEN * np.minimum(one, other)
+    return even
+
+
+def _evened(x: Array, are_even: BoolArray) -> Array:
+    """Return means of three samples, weights 1 2 1, where all are there at even distances."""
     out = x.copy()
     with np.errstate(invalid='ignore', over='ignore'):
         mean = 0.25 * (x[:-2] + 2.0 * x[1:-1] + x[2:])
-    good = np.isfinite(mean)
+    good = np.isfinite(mean) & are_even[:, None, None]
     out[1:-1][good] = mean[good]
     return out
 
