@@ -74,6 +74,7 @@ def test_what_a_tool_writes_is_read_back(tmp_path: Path, kind: str, name: str) -
     np.testing.assert_allclose(found.uv, uv, atol=1e-4)
     np.testing.assert_array_equal(found.scores > 0.0, np.isfinite(uv[..., 0]))
     assert found.joints == (NAMES if kind in {'labels', 'mmpose'} else None)
+    assert found.is_whole == (kind not in {'coco', 'alphapose'})  # lists of what was found
 
 
 def test_surest_person_is_taken_and_others_are_counted(tmp_path: Path) -> None:

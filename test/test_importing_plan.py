@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,36 @@ def test_first_frame_has_its_number_as_time(
     """Counted from 0, or from 1 where the first is number 1; moved by the start."""
     found = plan(frames, start_s=start_s)
     np.testing.assert_allclose(found.time_s, expected + np.arange(len(frames)) / 50.0)
+
+
+@pytest.mark.parametrize(
+    ('lowest', 'is_whole', 'taken'), [(1, True, 1), (0, False, 0), (1, False, 1), (7, True, 0)]
+)
+def test_number_of_the_first_frame_is_asked_for_where_it_is_in_doubt(
+    lowest: int,
+    is_whole: bool,  # noqa: FBT001
+    taken: int,
+) -> None:
+    """Frames without anybody may come before the lowest, or it is a part of a video."""
+    detections = make_detections(np.arange(lowest, 500), is_whole=is_whole)
+    found = plan_camera(make_skeleton(), CAMERA, detections, joints=KEYPOINTS, fps=50.0)
+    assert found.time_s[0] == pytest.approx((lowest - taken) / 50.0)
+    is_sure = lowest == 0 or (lowest == 1 and is_whole)
+    doubt = f'cam0: the lowest frame number is {lowest}, .* taken from {taken}, .*--first-frame'
+    assert [w for w in found.warnings if re.search(doubt, w)] == [*found.warnings]
+    assert bool(found.warnings) is not is_sure
+    for asked in (0, 1):
+        if asked <= lowest:
+            options: dict[str, Any] = {'joints': KEYPOINTS, 'fps': 50.0, 'first_frame': asked}
+            said = plan_camera(make_skeleton(), CAMERA, detections, **options)
+            assert said.time_s[0] == pytest.approx((lowest - asked) / 50.0)
+            assert said.warnings == ()
+
+
+def test_first_frame_above_the_lowest_is_refused() -> None:
+    """One of the two is wrong."""
+    with pytest.raises(InputError, match=r'video.json: has a frame 0, but --first-frame says 1'):
+        plan(np.arange(500), first_frame=1)
 
 
 def test_frames_without_anybody_leave_gaps() -> None:

@@ -30,6 +30,7 @@ class Inputs:
         paths: Keypoints by camera.
         fps: Rate by camera.
         start_s: Start by camera, where one was given.
+        first_frame: Number of the first frame by camera, where one was given.
         timecodes: Of the first frame by camera, where one was given.
         joints: Names of the keypoints; None = as the files state.
         joint_map: MoCap joint by keypoint.
@@ -42,6 +43,7 @@ class Inputs:
     paths: Mapping[str, Path]
     fps: Mapping[str, float]
     start_s: Mapping[str, float]
+    first_frame: Mapping[str, int]
     timecodes: Mapping[str, str]
     joints: tuple[str, ...] | None
     joint_map: Mapping[str, str | None]
@@ -80,8 +82,18 @@ def parse_inputs(arguments: argparse.Namespace) -> Inputs:
         raise InputError(Reason.BAD_INPUT, msg)
     joints = keypoint_joints(arguments.keypoint_joints) if arguments.keypoint_joints else None
     timecodes = _by_camera(arguments.camera_timecode, '--camera-timecode', [*paths])
-    joint_map = _joint_map(arguments.joint_map)
-    return Inputs(arguments, cameras, formats, paths, fps, start_s, timecodes, joints, joint_map)
+    return Inputs(
+        arguments,
+        cameras,
+        formats,
+        paths,
+        fps,
+        start_s,
+        _first_frames(arguments.first_frame, [*paths]),
+        timecodes,
+        joints,
+        _joint_map(arguments.joint_map),
+    )
 
 
 def _cameras(
@@ -146,6 +158,16 @@ def _numbers(
             raise InputError(Reason.BAD_INPUT, msg)
         found[name] = number
     return found
+
+
+def _first_frames(texts: Sequence[str], names: Sequence[str]) -> dict[str, int]:
+    """Return 0 or 1 by camera."""
+    found = _by_camera(texts, '--first-frame', names)
+    for value in found.values():
+        if value not in {'0', '1'}:
+            msg = f'--first-frame needs 0 or 1, got {value[:80]!r}'
+            raise InputError(Reason.BAD_INPUT, msg)
+    return {name: int(value) for name, value in found.items()}
 
 
 def _by_camera(texts: Sequence[str], option: str, names: Sequence[str]) -> dict[str, str]:

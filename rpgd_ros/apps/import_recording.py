@@ -116,8 +116,10 @@ def _parser() -> argparse.ArgumentParser:
     add('--mocap-fps', type=float, metavar='HZ', help=text)
     text = 'rate of the videos, of all or by camera'
     add('--camera-fps', required=True, nargs='+', metavar='[CAMERA=]HZ', help=text)
-    text = "time of the skeleton's file at frame 0 of a video, or 1 where that is its first"
+    text = "time of the skeleton's file at the first frame of a video"
     add('--camera-start', nargs='+', default=[], metavar='[CAMERA=]SECONDS', help=text)
+    text = 'number of that frame, 0 or 1 (default 1 where the lowest is 1, else 0)'
+    add('--first-frame', nargs='+', default=[], metavar='[CAMERA=]NUMBER', help=text)
     text = "SMPTE timecode of a video's first frame; ;FF where frame numbers are dropped"
     add('--camera-timecode', nargs='+', default=[], metavar='[CAMERA=]HH:MM:SS:FF', help=text)
     text = "of the first frame in the skeleton's file, where the file states none, or a wrong one"
@@ -200,6 +202,7 @@ def _read(inputs: Inputs, progress: Callable[[str, float], None]) -> Plan:
                 joints=inputs.joints,
                 fps=inputs.fps[camera.name],
                 start_s=clock.start_s.get(camera.name),
+                first_frame=inputs.first_frame.get(camera.name),
                 joint_map=inputs.joint_map,
                 units=options.keypoint_units,
             )

@@ -39,6 +39,7 @@ class Detections:
         n_empty: Frames without anybody.
         n_others: People that were left out, in all frames.
         first: Number of the first frame, with or without anybody in it.
+        is_whole: Whether frames without anybody are listed, so that none comes before `first`.
 
     """
 
@@ -51,6 +52,7 @@ class Detections:
     n_empty: int
     n_others: int
     first: int
+    is_whole: bool = True
 
     @property
     def n_joints(self) -> int:
@@ -158,6 +160,7 @@ def _detections(
         len(people) - len(with_somebody),
         sum(len(persons) - 1 for persons in people.values() if persons),
         min(people),
+        all(d.is_whole for d in documents),
     )
 
 

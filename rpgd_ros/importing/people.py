@@ -32,12 +32,14 @@ class Document(NamedTuple):
         format: Name of the format.
         frames: People by frame number, each (K, 3) u, v, score; key None = the file is one frame.
         joints: Keypoint names that the file states; None = it does not.
+        is_whole: Whether frames without anybody are listed too.
 
     """
 
     format: str
     frames: Mapping[int | None, list[Array]]
     joints: tuple[str, ...] | None = None
+    is_whole: bool = True
 
 
 def frame_number(name: str) -> int | None:
@@ -85,7 +87,7 @@ def _of_mapping(path: Path, tree: Mapping[str, Any]) -> Document:
     frames: dict[int | None, list[Array]] = {}
     for name, value in images:
         frames[_image(path, name, name)] = _people(path, value, f'{name}.')
-    return Document(ALPHAPOSE, frames)
+    return Document(ALPHAPOSE, frames, is_whole=False)
 
 
 def _people(path: Path, tree: Mapping[str, Any], where: str) -> list[Array]:
@@ -121,7 +123,7 @@ def _of_list(path: Path, items: list[Any]) -> Document:
             frames[None].append(_person(path, item, place))
     if None in frames and len(frames) > 1:
         refuse(path, None, 'some entries name their frame and others do not')
-    return Document(name, frames)
+    return Document(name, frames, is_whole=name == MMPOSE)
 
 
 def _of_annotations(path: Path, tree: Mapping[str, Any]) -> Document:

@@ -110,6 +110,7 @@ def plan_camera(
     joints: tuple[str, ...] | None,
     fps: float,
     start_s: float | None = None,
+    first_frame: int | None = None,
     joint_map: Mapping[str, str | None] | None = None,
     units: KeypointUnits = 'pixels',
 ) -> CameraPlan:
@@ -121,8 +122,9 @@ def plan_camera(
         detections: Of its video.
         joints: Keypoint names; None = those that the files state.
         fps: Frames per second of the video.
-        start_s: Time of the skeleton file at which the camera took its frame 0, or its frame 1
-            where the first is number 1; None = 0, not said.
+        start_s: Time of the skeleton file at which the camera took its first frame; None = 0,
+            not said.
+        first_frame: Number of its first frame; None = 1 where that is the first there is, else 0.
         joint_map: As `skeletons.match_joints`.
         units: Of the keypoints.
 
@@ -141,7 +143,7 @@ def plan_camera(
         source = skeleton.source
         msg = f'{source.at(source.joints_line)}, {path}: {error.message}'
         raise InputError(error.reason, f'{msg} (--joint-map KEYPOINT=JOINT)') from None
-    first = 1 if detections.first == 1 else 0
+    first, doubts = _first_frame(camera.name, detections, first_frame)
     time_s = (start_s or 0.0) + (detections.frames - first) / fps
     begin, end = float(skeleton.time_s[0]), float(skeleton.time_s[-1])
     if time_s[-1] < begin or time_s[0] > end:
@@ -154,12 +156,33 @@ def plan_camera(
         refuse(path, None, msg)
     if start_s is None:
         _check_rate(skeleton, camera.name, detections, fps)
-    warnings = _check_pixels(camera, detections, units)
+    warnings = doubts + _check_pixels(camera, detections, units)
     slow = _tempo(skeleton, camera.name, detections, pairs, fps, float(time_s[0]))
     if slow and start_s is None:
         refuse(path, None, slow)
     warnings += (slow,) if slow else ()
     return CameraPlan(camera, detections, names, pairs, fps, units, time_s, warnings)
+
+
+def _first_frame(
+    name: str, detections: Detections, asked: int | None
+) -> tuple[int, tuple[str, ...]]:
+    """Return the number that the first frame of a video has, and what is doubtful about it."""
+    lowest = detections.first
+    if asked is not None:
+        if lowest < asked:
+            msg = f'has a frame {lowest}, but --first-frame says {asked} for camera {name}'
+            refuse(detections.path, None, msg)
+        return asked, ()
+    first = 1 if lowest == 1 else 0
+    if lowest == 0 or (lowest == 1 and detections.is_whole):
+        return first, ()
+    warning = (
+        f'camera {name}: the lowest frame number is {lowest}, so that frames may be numbered from '
+        f'0 or 1: taken from {first}, else all come a frame off: give --first-frame {name}=0 or '
+        f'{name}=1'
+    )
+    return first, (warning,)
 
 
 def _names(detections: Detections, joints: tuple[str, ...] | None) -> tuple[str, ...]:
