@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, TypedDict
 
@@ -46,12 +47,12 @@ def read_csv(path: Path, fps: float | None = None) -> SkeletonFile:
     if n_before >= len(lines) or not lines[n_before].strip():
         refuse(path, n_before + 1, f'the header is missing: need {LAYOUT}')
     separator = max(',;\t', key=lines[n_before].count)
-    rows = csv.reader(lines[n_before:], delimiter=separator)
-    header = [cell.strip() for cell in next(rows)]
+    rows = _rows(path, lines, n_before, separator)
+    header = [cell.strip() for cell in next(rows)[1]]
     joints = _joints(path, n_before + 1, header)
     values: list[list[float]] = []
     places: list[int] = []
-    for i, cells in enumerate(rows, start=n_before + 2):
+    for i, cells in rows:
         if any(cell.strip() for cell in cells):
             if len(cells) != len(header):
                 refuse(path, i, f'{len(cells)} columns, the header has {len(header)}')
@@ -101,6 +102,17 @@ def _facts(path: Path, lines: list[str]) -> tuple[dict[str, tuple[str, int]], in
     if up not in AXES:
         refuse(path, line, f'up {shown(up)} is no axis, need x, y or z')
     return facts, n
+
+
+def _rows(
+    path: Path, lines: list[str], n_before: int, separator: str
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield the cells of each line, with its number; no cell goes on in the next line."""
+    for i, line in enumerate(lines[n_before:], start=n_before + 1):
+        try:
+            yield i, next(csv.reader([line], delimiter=separator, strict=True), [])
+        except csv.Error as error:
+            refuse(path, i, f'cannot be split into cells ({error}): is a quote not closed?')
 
 
 def _axis(text: str) -> Axis | None:

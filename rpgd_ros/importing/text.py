@@ -57,7 +57,8 @@ def read_lines(path: Path) -> list[str]:
     if b'\0' in data[:4096]:
         refuse(path, None, 'is a binary file, need text')
     # Not str.splitlines, which also splits at characters that may stand in a name.
-    return data.decode('utf-8-sig', errors='replace').replace('\r\n', '\n').split('\n')
+    text = data.decode('utf-8-sig', errors='replace')
+    return text.replace('\r\n', '\n').replace('\r', '\n').split('\n')
 
 
 def number(cell: str, path: Path, line: int, what: str) -> float:
