@@ -369,6 +369,55 @@ def test_fault_is_named_with_file_and_line(
     assert refused.value.message.startswith(str(path))
 
 
+@pytest.mark.parametrize('end', ['\r', '\r\n', '\n'])
+@pytest.mark.parametrize('content', [TRC, BVH, CSV])
+def test_lines_end_as_they_do_on_any_system(tmp_path: Path, content: str, end: str) -> None:
+    """Excel saves a CSV for the Macintosh with carriage returns alone."""
+    path = tmp_path / 'file'
+    path.write_text(content)
+    expected = read_skeleton(path, 50.0)
+    path.write_bytes(content.replace('\n', end).encode())
+    found = read_skeleton(path, 50.0)
+    np.testing.assert_array_equal(found.values, expected.values)
+    np.testing.assert_array_equal(found.time_s, expected.time_s)
+
+
+@pytest.mark.parametrize('place', ['header', 'row'])
+def test_quote_that_is_not_closed_is_refused(tmp_path: Path, place: str) -> None:
+    """It would make one cell of the rest of the file, of which a reader of CSV takes 128 KiB."""
+    path = tmp_path / 'a.csv'
+    rows = [f'{i};1;2;3;4;5;6' for i in range(20_000)]
+    text = CSV[: CSV.index('0;')] + '\n'.join(rows)
+    old, line = ('head_X', 3) if place == 'header' else ('\n7;1', 11)
+    path.write_text(text.replace(old, old.replace('1', '"1').replace('head', '"head'), 1))
+    with pytest.raises(InputError, match=rf'a\.csv:{line}: .*quote') as refused:
+        read_skeleton(path, 50.0)
+    assert len(refused.value.message) < 300
+
+
+@pytest.mark.parametrize('kind', ['trc', 'bvh', 'csv'])
+def test_subject_before_all_names_is_taken_off(tmp_path: Path, kind: str) -> None:
+    """As Vicon and MotionBuilder write it; of two subjects, both stay."""
+    path = tmp_path / 'file'
+    for subjects, expected in (('Anna', 'Anna'), JOINTS), (('Anna', 'Bob'), None):
+        names = [f'{subjects[j > 0]}:{name}' for j, name in enumerate(JOINTS)]
+        {'trc': _write_trc, 'bvh': _write_bvh, 'csv': _write_csv}[kind](path, names)
+        joints = read_skeleton(path).joints
+        assert sorted(joints) == sorted(expected or names)
+
+
+def _write_trc(path: Path, names: list[str]) -> None:
+    write_trc(path, names, body(4))
+
+
+def _write_bvh(path: Path, names: list[str]) -> None:
+    write_bvh(path, names, body(4))
+
+
+def _write_csv(path: Path, names: list[str]) -> None:
+    write_csv(path, names, body(4))
+
+
 def test_csv_with_frame_numbers_needs_a_rate(tmp_path: Path) -> None:
     """Given, or in a line of the file."""
     path = tmp_path / 'a.csv'

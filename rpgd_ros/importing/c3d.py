@@ -39,8 +39,7 @@ Parameters = Mapping[str, list[Any]]
 def read_c3d(path: Path) -> SkeletonFile:
     """Read the points of a C3D file.
 
-    Unlabelled points (`*12`) and the results of a model (angles, moments, ...) are left out, and
-    the name of the subject before a colon is taken off where all labels have the same.
+    Unlabelled points (`*12`) and the results of a model (angles, moments, ...) are left out.
 
     Raises:
         InputError: BAD_INPUT or WRONG_UNIT; ezc3d is not installed.
@@ -55,15 +54,15 @@ def read_c3d(path: Path) -> SkeletonFile:
     parameters, points = _in_a_child(path, seconds)
     rate = _rate(path, parameters)
     labels = _labels(path, parameters, points.shape[1])
-    outputs = {_without_subject([str(name).strip()])[0] for name in parameters['OUTPUTS']}
+    outputs = {str(name).strip().rpartition(':')[2] for name in parameters['OUTPUTS']}
     keep = [j for j, label in enumerate(labels) if label and not label.startswith('*')]
-    keep = [j for j in keep if _without_subject([labels[j]])[0] not in outputs]
+    keep = [j for j in keep if labels[j].rpartition(':')[2] not in outputs]
     values = points[:, keep].transpose(2, 1, 0)
     up = _text(parameters, 'Y_SCREEN').lstrip('+-').lower()
     return SkeletonFile(
         path,
         FORMAT,
-        _without_subject([labels[j] for j in keep]),
+        tuple(labels[j] for j in keep),
         (parameters['FIRST'][0] + np.arange(len(values), dtype=np.float64)) / rate,
         values,
         _units(path, parameters),
@@ -138,8 +137,3 @@ def _labels(path: Path, parameters: Parameters, n_points: int) -> list[str]:
     if len(labels) < n_points:
         refuse(path, None, f'{n_points} points, but {len(labels)} labels: label them and export')
     return labels[:n_points]
-
-
-def _without_subject(labels: list[str]) -> tuple[str, ...]:
-    subjects = {label.rpartition(':')[0] for label in labels}
-    return tuple(label.rpartition(':')[2] if len(subjects) == 1 else label for label in labels)

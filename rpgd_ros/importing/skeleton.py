@@ -138,6 +138,12 @@ class Skeleton:
         return frame_rate(self.time_s)
 
 
+def without_subject(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return names without that of a subject before a colon, where all have the same."""
+    subjects = {name.rpartition(':')[0] for name in joints}
+    return tuple(name.rpartition(':')[2] for name in joints) if len(subjects) == 1 else joints
+
+
 def settle(
     file: SkeletonFile,
     *,

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from rpgd_ros.importing.bvh import read_bvh
 from rpgd_ros.importing.c3d import MAGIC, read_c3d
-from rpgd_ros.importing.skeleton import SkeletonFile
+from rpgd_ros.importing.skeleton import SkeletonFile, without_subject
 from rpgd_ros.importing.table import LAYOUT, read_csv
 from rpgd_ros.importing.text import refuse
 from rpgd_ros.importing.trc import read_trc
@@ -15,6 +16,8 @@ from rpgd_ros.importing.trc import read_trc
 
 def read_skeleton(path: Path, fps: float | None = None) -> SkeletonFile:
     """Read a TRC, BVH, C3D or CSV file.
+
+    The name of the subject before a colon is taken off where all joints have the same.
 
     Args:
         path: The file.
@@ -24,6 +27,11 @@ def read_skeleton(path: Path, fps: float | None = None) -> SkeletonFile:
         InputError: BAD_INPUT or WRONG_UNIT, naming file and, in text, the line.
 
     """
+    file = _read(path, fps)
+    return replace(file, joints=without_subject(file.joints))
+
+
+def _read(path: Path, fps: float | None) -> SkeletonFile:
     try:
         with path.open('rb') as file:
             start = file.read(256)
