@@ -231,6 +231,16 @@ def test_compressed_file_that_is_lost_costs_no_other(tmp_path: Path, damage: str
     assert problem.startswith(f'40 of 60 messages: {files[1]}: ')
 
 
+def test_files_that_were_unpacked_by_hand_are_found(tmp_path: Path) -> None:
+    """With `zstd --rm -d`, which leaves metadata.yaml as it is."""
+    messages = walk(30)
+    folder = write_bag(tmp_path / 'walk', messages, compression='file')
+    packed = storage_file(folder)
+    packed.with_suffix('').write_bytes(zstd.decompress(packed.read_bytes()))
+    packed.unlink()
+    assert read_all(folder) == (as_read(messages), '')
+
+
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_compressed_file_alone_is_a_bag(
     tmp_path: Path, storage: Literal['mcap', 'sqlite3']

@@ -115,7 +115,9 @@ def _named_files(path: Path, information: Mapping[str, Any]) -> list[Path]:
         files = [path / PurePath(name).name for name in information['relative_file_paths']]
     if not files:
         raise bad_bag(path, 'metadata.yaml names no file')
-    return files
+    # Unpacked by hand, they have the names that they had before.
+    plain = [file.with_name(file.name.removesuffix(PACKED_SUFFIX)) for file in files]
+    return [p if p.is_file() and not f.exists() else f for f, p in zip(files, plain, strict=True)]
 
 
 def _files_of(path: Path) -> list[Path]:
