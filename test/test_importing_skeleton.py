@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rpgd_ros.core.errors import InputError, Reason
-from rpgd_ros.importing.skeleton import SkeletonFile, settle, standing_axis
+from rpgd_ros.importing.skeleton import SkeletonFile, frame_rate, settle, standing_axis
 
 JOINTS = ('LHipJC', 'RHipJC', 'LAnkleJC', 'RAnkleJC', 'LShoulderJC', 'RShoulderJC')
 BODY = np.array([
@@ -110,6 +110,15 @@ def test_rate_that_is_asked_for_stretches_the_times() -> None:
     assert found.fps == pytest.approx(100.0)
     assert found.warnings == ('the file states 50 Hz, --mocap-fps says 100: taken as 100',)
     assert settle(make_file(), fps=50.0).warnings == ()
+
+
+@pytest.mark.parametrize('jitter_ms', [1, 4, 10])
+def test_rate_of_times_that_tremble_is_their_mean(jitter_ms: int) -> None:
+    """As a Kinect's, which come when the computer has time for them; some are lost."""
+    rng = np.random.default_rng(1)
+    frames = np.delete(np.arange(3000), rng.integers(1, 2999, 60))
+    time_s = frames / 30.0 + rng.uniform(-0.001, 0.001, len(frames)) * jitter_ms
+    assert frame_rate(time_s) == pytest.approx(30.0, rel=1e-3)
 
 
 def test_zeros_are_missing_and_joints_without_data_are_said() -> None:

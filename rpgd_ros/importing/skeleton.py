@@ -51,7 +51,7 @@ def frame_rate(time_s: Array) -> float:
     skip = len(step) // 4
     middle = np.sort(step)[skip : len(step) - skip].mean()
     single = step[step < 1.5 * middle].mean()
-    n_steps = np.maximum(np.round(step / single), 1.0).sum()
+    n_steps = np.round(step / single).sum()
     return float(n_steps / (time_s[-1] - time_s[0]))
 
 
