@@ -138,3 +138,13 @@ def test_the_mean_error_does_not_tell_a_useless_pose_from_a_good_one() -> None:
     assert found.calibration is not None
     at_truth = mpjpe_px(case.cameras, case.observations, case.truth.world_T_mocap)
     assert found.calibration.mpjpe_px < at_truth
+
+
+@pytest.mark.parametrize('seed', [2, 3, 5])
+def test_another_person_in_all_cameras_is_no_uncertain_pose(seed: int) -> None:
+    """Any pose explains some of it within a tenth of the image: the reason is that none does."""
+    case = scene('human36m', 300, seed, outlier_ratio=0.97, kind='person')
+    for config in (CalibrationConfig(), CalibrationConfig.thorough()):
+        with pytest.raises(CalibrationError) as refused:
+            calibrate(case.cameras, case.observations, config=config)
+        assert refused.value.reason is Reason.TOO_FEW_INLIERS

@@ -19,10 +19,12 @@ from rpgd_ros.core.dating import moved_since
 from rpgd_ros.core.diagnose import (
     MAY_BE_MIRRORED,
     MIRRORED,
+    UNSURE,
     is_mirrored,
     looks_mirrored,
     refuse_ambiguous,
     refuse_swapped,
+    unexplained,
 )
 from rpgd_ros.core.errors import CalibrationError, Reason
 from rpgd_ros.core.linearise import Sight
@@ -141,7 +143,7 @@ def _placed(sight: Sight, since_s: float | None, rest: Calibration, run: Run) ->
 
 def _pass_gates(solved: Solved, run: Run) -> None:
     """Raise when nobody should use the calibration, naming the cause where it is known."""
-    calibration, sights, body, rival_ratio, _ = solved
+    calibration, sights, body, rival_ratio = solved[:4]
     config = calibration.config
     refuse_swapped(sights, calibration)
     try:
@@ -152,6 +154,10 @@ def _pass_gates(solved: Solved, run: Run) -> None:
         if refusal.reason in MAY_BE_MIRRORED and is_mirrored(sights, config.ransac, check=check):
             raise CalibrationError(
                 Reason.MIRRORED_AXES, MIRRORED, calibration=calibration
+            ) from refusal
+        if refusal.reason in UNSURE and not solved.is_explained:
+            raise CalibrationError(
+                Reason.TOO_FEW_INLIERS, unexplained(calibration), calibration=calibration
             ) from refusal
         if refusal.reason is Reason.UNCERTAIN:
             # The better name: a sigma is that of one of the minima.

@@ -32,6 +32,7 @@ MIN_SWAPPED_PAIRS = 2  # one pair alone may be a mistake in the joint map
 LEFT_OUT = 0.5  # of the share of inliers in the best camera
 GLANCE_POINTS, GLANCE_TRIPLETS = 256, 64  # where the mirrored one is right, most of them are good
 MIRROR_GAIN = 4.0  # in squared error, of the mirrored skeleton over the given one
+UNSURE = (Reason.UNCERTAIN, Reason.AMBIGUOUS)
 MAY_BE_MIRRORED = (
     Reason.TOO_FEW_INLIERS,
     Reason.TOO_FEW_FRAMES,
@@ -60,6 +61,14 @@ def refuse_ambiguous(ratio: float, calibration: Calibration | None = None) -> No
             f'error of the best, need {MIN_COST_RATIO}. Walk further, turn, and come nearer'
         )
         raise CalibrationError(Reason.AMBIGUOUS, msg, calibration=calibration)
+
+
+def unexplained(calibration: Calibration) -> str:
+    """Say that the best pose is none: its residuals are as broad as those of any pose."""
+    return (
+        f'no pose explains the keypoints: the best leaves {calibration.median_px:.0f} px in the '
+        'median. Check that cameras and MoCap see the same person and share a clock'
+    )
 
 
 def refuse_swapped(sights: Sequence[Sight], calibration: Calibration) -> None:

@@ -65,13 +65,24 @@ class Run:
 
 
 class Solved(NamedTuple):
-    """A solve before the gates."""
+    """A solve before the gates.
+
+    Attributes:
+        calibration: Its result.
+        sights: Cameras with the data that it ended with.
+        body: A look at the skeletons.
+        rival_ratio: See `ransac.rival_ratio`.
+        details: Clocks and joints, where they were estimated.
+        is_explained: Whether the residuals at the pose are those of a detector, however noisy.
+
+    """
 
     calibration: Calibration
     sights: list[Sight]
     body: Body
     rival_ratio: float
     details: Details | None
+    is_explained: bool
 
 
 def solve(
@@ -113,7 +124,8 @@ def solve(
         joint_names=observations.joint_names, config=config, seconds=run.clock() - run.started,
         order=[c.name for c in cameras],
     )  # fmt: skip
-    return Solved(calibration, sights, body, rival_ratio, details)
+    is_explained = not isinstance(loss, NoiseModel) or loss.is_sharp
+    return Solved(calibration, sights, body, rival_ratio, details, is_explained)
 
 
 def _sights(cameras: Sequence[Camera], observations: Observations) -> list[Sight]:

@@ -24,7 +24,9 @@ MAX_FRAMES = 4000  # per camera: two minutes at 30 Hz; 15 MB of arrays for 28 jo
 # image at most. Another person is farther off, and walks.
 MOST_SCATTER, MOST_SHIFT = 0.5, 0.1
 # What is wrong with all cameras alike: where one fits less, it looks from another side.
-OF_ALL = frozenset({Reason.SWAPPED_LABELS, Reason.MIRRORED_AXES, Reason.WRONG_UNIT})
+OF_ALL = frozenset({
+    Reason.SWAPPED_LABELS, Reason.MIRRORED_AXES, Reason.WRONG_UNIT, Reason.TOO_FEW_INLIERS,
+})  # fmt: skip
 TIME_BINS = 120  # of the whole recording, at most
 UP_FROM = ('left_ankle', 'right_ankle', 'left_hip', 'right_hip')
 UP_TO = ('left_shoulder', 'right_shoulder', 'head', 'nose', 'neck')

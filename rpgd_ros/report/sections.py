@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from rpgd_ros import __version__
+from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.report.blocks import (
     Block,
@@ -134,7 +135,9 @@ def times(measured: Measured) -> Section | None:
     c = measured.case.calibration
     if c is None or not measured.looks:
         return None
-    is_lost = c.inlier_ratio < FEW
+    refusal = measured.case.refusal
+    is_nobody = refusal is not None and refusal.reason is Reason.TOO_FEW_INLIERS
+    is_lost = is_nobody or c.inlier_ratio < FEW
     return Section('time', 'Time', (_agreement(measured),), is_marked=is_lost)
 
 
