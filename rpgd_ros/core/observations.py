@@ -21,8 +21,10 @@ LARGEST_COORDINATE = 1e6  # metres or pixels; beyond it a number is damage, not 
 
 def is_there(points: Array) -> BoolArray:
     """(...) whether points (..., n) are numbers, and no damaged ones."""
+    # By the squared length: a maximum over so few takes ten times as long.
     with np.errstate(invalid='ignore', over='ignore'):
-        there: BoolArray = np.abs(points).max(-1) < LARGEST_COORDINATE  # False for NaN
+        squared = np.einsum('...k,...k->...', points, points, dtype=np.float64)
+    there: BoolArray = squared < LARGEST_COORDINATE**2  # False for NaN
     return there
 
 
