@@ -210,7 +210,7 @@ def _contradicting(
     sights: Sequence[Sight], views: Mapping[int, _Opinion], pivot: Array, active: Sequence[int]
 ) -> dict[int, Disagreement]:
     """Test each active camera against the others; those that fail, by number."""
-    tested = {v: _compare(sights, views, pivot, v, active) for v in active}
+    tested = {v: _compare(sights, views, pivot, v, active, least=1.0) for v in active}
     return {v: t for v, t in tested.items() if t and t.excess >= 1.0 and _matters(t)}
 
 
@@ -230,9 +230,12 @@ def _matters(d: Disagreement) -> bool:
 
 def _compare(
     sights: Sequence[Sight], views: Mapping[int, _Opinion], pivot: Array, v: int,
-    active: Sequence[int],
+    active: Sequence[int], *, least: float = 0.0,
 ) -> Disagreement | None:  # fmt: skip
-    """Test one camera against the other active ones; None where the joints cannot tell."""
+    """Test one camera against the other active ones.
+
+    None where the joints cannot tell, or where the excess is below `least` for sure.
+    """
     mine, others = views[v], [views[k] for k in active if k != v]
     theirs = np.stack([o.per_joint for o in others])
     used = np.any(mine.per_joint != 0.0, axis=1) & np.any(theirs != 0.0, axis=(0, 2))
@@ -244,12 +247,15 @@ def _compare(
     rest = invert(hessians.sum(0), np.stack([o.information for o in others]).sum(0))
     agreed = rest @ np.einsum('kij,kj->i', hessians, np.stack([o.step for o in others]))
     difference = mine.step - agreed
+    free = n_joints - 6
+    scale = free / (n_joints - 1) / 6.0 / chance(free)
+    if difference @ np.linalg.solve(own + rest, difference) * scale < least:
+        return None  # what differs between joints and times only adds to this covariance
     # Per joint, where this camera alone would put the body, less where the others would.
     apart = theirs[:, used].sum(0) @ rest - mine.per_joint[used] @ own
     later = np.stack([o.per_time for o in others]).sum(0) @ rest - mine.per_time @ own
     covariance = larger(larger(own + rest, spread_between(apart)), spread_between(later))
-    free = n_joints - 6
-    statistic = difference @ np.linalg.solve(covariance, difference) * free / (n_joints - 1) / 6.0
+    excess = difference @ np.linalg.solve(covariance, difference) * scale
     x, y, z = sights[v].camera_T_world.inverse().translation - pivot
     to_centre = np.hstack([[[0, z, -y], [-z, 0, x], [y, -x, 0]], np.eye(3)])
     rival = next(k for k in active if k != v) if len(active) == 2 else None
@@ -259,7 +265,7 @@ def _compare(
         shift_m=float(np.linalg.norm(to_centre @ difference)),
         sigma_deg=float(np.degrees(np.sqrt(np.trace(covariance[:3, :3])))),
         sigma_m=float(np.sqrt(np.trace(to_centre @ covariance @ to_centre.T))),
-        excess=float(statistic) / chance(free),
+        excess=float(excess),
         rival=None if rival is None else sights[rival].camera.name,
     )
 
