@@ -47,6 +47,17 @@ def case_to_stop() -> Twin:
     return scene('human36m', 60, 4)
 
 
+def bumped_case() -> Twin:
+    """Return a recording of a rig of which one camera was moved."""
+    case = scene('human36m', 300, 1)
+    pose = case.cameras[2].camera_T_world
+    assert pose is not None
+    bumped = RigidTransform(so3_exp([0.05, 0.0, 0.0]), np.array([0.0, 0.1, 0.0])) @ pose
+    cameras = list(case.cameras)
+    cameras[2] = replace(cameras[2], camera_T_world=bumped)
+    return case._replace(cameras=tuple(cameras))
+
+
 @pytest.mark.parametrize('config', CONFIGS, ids=['default', 'paper', 'adam'])
 @pytest.mark.parametrize('after', [0, 1, 3])
 def test_a_run_can_be_cancelled_at_each_step(config: CalibrationConfig, after: int) -> None:
@@ -92,14 +103,8 @@ def test_progress_only_grows(config: CalibrationConfig) -> None:
 
 def test_progress_does_not_fall_back_when_a_camera_is_left_out() -> None:
     """The second solve, without the camera that was moved, goes on where the first ended."""
-    case = scene('human36m', 300, 1)
-    pose = case.cameras[2].camera_T_world
-    assert pose is not None
-    bumped = RigidTransform(so3_exp([0.05, 0.0, 0.0]), np.array([0.0, 0.1, 0.0])) @ pose
-    cameras = list(case.cameras)
-    cameras[2] = replace(cameras[2], camera_T_world=bumped)
     config = CalibrationConfig(rig=RigConfig(on_bumped_camera='exclude'))
-    found = check_progress(case._replace(cameras=tuple(cameras)), config)
+    found = check_progress(bumped_case(), config)
     assert 'not used' in ' '.join(found.warnings)
 
 
@@ -122,12 +127,7 @@ def check_progress(case: Twin, config: CalibrationConfig) -> Calibration:
 
 def test_placing_a_moved_camera_again_can_be_cancelled() -> None:
     """The solve of the camera alone is a part of the run, and its end is the run's."""
-    case = scene('human36m', 300, 1)
-    pose = case.cameras[2].camera_T_world
-    assert pose is not None
-    bumped = RigidTransform(so3_exp([0.05, 0.0, 0.0]), np.array([0.0, 0.1, 0.0])) @ pose
-    cameras = list(case.cameras)
-    cameras[2] = replace(cameras[2], camera_T_world=bumped)
+    case = bumped_case()
     asked, n_asked = 0, {'exclude': 0, 're-estimate': 0}
     for choice in ('exclude', 're-estimate'):
         asked = 0
@@ -138,7 +138,7 @@ def test_placing_a_moved_camera_again_can_be_cancelled() -> None:
             return False
 
         config = CalibrationConfig(rig=RigConfig(on_bumped_camera=choice))
-        calibrate(cameras, case.observations, config=config, should_stop=count)
+        calibrate(case.cameras, case.observations, config=config, should_stop=count)
         n_asked[choice] = asked
     assert n_asked['re-estimate'] > n_asked['exclude'] + 2
     asked = 0
@@ -149,7 +149,7 @@ def test_placing_a_moved_camera_again_can_be_cancelled() -> None:
         return asked > n_asked['exclude'] + 1
 
     with pytest.raises(CalibrationError) as refused:
-        calibrate(cameras, case.observations, config=config, should_stop=should_stop)
+        calibrate(case.cameras, case.observations, config=config, should_stop=should_stop)
     assert refused.value.reason is Reason.CANCELLED
 
 

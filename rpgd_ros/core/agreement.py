@@ -15,8 +15,9 @@ import numpy as np
 
 from rpgd_ros.core.covariance import invert, larger, spread_between
 from rpgd_ros.core.errors import CalibrationError
-from rpgd_ros.core.geometry import Array, RigidTransform, so3_log
+from rpgd_ros.core.geometry import Array, RigidTransform
 from rpgd_ros.core.noise_fit import noise_at
+from rpgd_ros.core.normal import delta_between
 from rpgd_ros.core.observations import NS_PER_S, real_ns
 from rpgd_ros.core.polish import polish
 from rpgd_ros.core.pool import make_pool
@@ -170,8 +171,7 @@ def _alone(sight: Sight, pose: RigidTransform, centroid_mocap: Array) -> _Opinio
         return None
     end = finish(few, near.world_T_mocap, centroid_mocap, noise, max_steps=20,
                  threshold_px=noise.threshold_px, check=lambda _: None)  # fmt: skip
-    turn = so3_log(end.pose.rotation @ pose.rotation.T)
-    step = np.concatenate([turn, end.pose @ centroid_mocap - pose @ centroid_mocap])
+    step = delta_between(pose, end.pose, centroid_mocap)
     normal, seen = end.normal, end.examination
     return _Opinion(step, normal.hessian, normal.information, seen.camera_scores[0],
                     seen.camera_time_scores[0])  # fmt: skip

@@ -14,8 +14,8 @@ import numpy as np
 from rpgd_ros.core.agreement import chance, lasts_long
 from rpgd_ros.core.covariance import invert
 from rpgd_ros.core.examine import TIME_BLOCKS, time_blocks, times_s
-from rpgd_ros.core.geometry import Array, RigidTransform, so3_log
-from rpgd_ros.core.normal import normal_equations, spectrum
+from rpgd_ros.core.geometry import Array, RigidTransform
+from rpgd_ros.core.normal import delta_between, normal_equations, spectrum
 from rpgd_ros.core.refine import GOOD_STEP, descend, newton_step
 
 if TYPE_CHECKING:
@@ -120,8 +120,7 @@ def _opinion(
         return step, normal.information
     # So far off that what drifted away looks like outliers from here.
     near = descend(part, pose, centroid_mocap, loss, max_steps=STEPS, check=lambda _: None)
-    turn = so3_log(near.rotation @ pose.rotation.T)
-    step = np.concatenate([turn, near @ centroid_mocap - pose @ centroid_mocap])
+    step = delta_between(pose, near, centroid_mocap)
     return step, normal_equations(part, near, near @ centroid_mocap, loss).information
 
 

@@ -17,6 +17,7 @@ from rpgd_ros.core.geometry import (
     RigidTransform,
     skew,
     so3_exp,
+    so3_log,
 )
 from rpgd_ros.core.linearise import Residuals, Sight, Slopes, linearise
 
@@ -93,6 +94,12 @@ def apply_delta(world_T_mocap: RigidTransform, delta: Array, pivot_world: Array)
     r = turn @ world_T_mocap.rotation
     # Steps add up: without this (Newton's for the polar factor) it would slowly be no rotation.
     return RigidTransform(r @ (1.5 * np.eye(3) - 0.5 * r.T @ r), translation)
+
+
+def delta_between(start: RigidTransform, end: RigidTransform, centroid_mocap: Array) -> Array:
+    """(6,) step (w, d) about the body's centroid that takes one pose to another."""
+    turn = so3_log(end.rotation @ start.rotation.T)
+    return np.concatenate([turn, end @ centroid_mocap - start @ centroid_mocap])
 
 
 def normal_equations(

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from rpgd_ros.core.agreement import Disagreement
 from rpgd_ros.core.camera_pose import is_mocap_world
-from rpgd_ros.core.diagnose import MIN_SWAPPED_PAIRS
+from rpgd_ros.core.diagnose import MIN_SWAPPED_PAIRS, UNSURE
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.result import Calibration
 from rpgd_ros.report.blocks import Link, number, percent
@@ -18,7 +18,6 @@ from rpgd_ros.report.measure import Measured, swapped_names
 OF_NOTHING = frozenset({
     Reason.TOO_FEW_INLIERS, Reason.SWAPPED_LABELS, Reason.MIRRORED_AXES, Reason.WRONG_UNIT,
 })  # fmt: skip
-UNSURE = frozenset({Reason.UNCERTAIN, Reason.AMBIGUOUS})
 # Share of agreeing keypoints: detectors of the right person have 0.6 to 0.95.
 FEW = 0.3
 MOST_PAIRS = 3  # named on top of the page
