@@ -10,15 +10,20 @@ import os
 import stat
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from typing import Any
 from unittest import mock
 
+from rclpy.service import Service
+
 from rpgd_ros.apps import calibrator
+from rpgd_ros.ros import replies
 from rpgd_ros.ros.results import Results
 from rpgd_ros.session import Session
 
 SAVE_SECONDS = 0.2  # that each file takes to reach the disk; a save writes four
+DROPPED = 2  # answers to each request
 EVERY = 10  # batches, of which the session refuses one
 
 
@@ -61,7 +66,32 @@ def faulty_services() -> None:
     mock.patch.object(Session, 'reset', side_effect=raised).start()
 
 
+def late_clients() -> None:
+    """Drop the first two answers to each request, as rclpy does for a client not yet found."""
+    send = Service.send_response
+    n_sent: dict[tuple[Service, int], int] = {}
+
+    def drop_first(self: Service, response: Any, header: Any) -> None:
+        key = self, header.request_id.sequence_number
+        n_sent[key] = n_sent.get(key, 0) + 1
+        if n_sent[key] > DROPPED:
+            send(self, response, header)
+        else:
+            sys.stdout.write('dropped\n')
+            sys.stdout.flush()
+            warnings.warn('failed to send response (timeout): as if', RuntimeWarning, 1)
+
+    mock.patch.object(Service, 'send_response', drop_first).start()
+
+
+def hasty() -> None:
+    """Give up answers that cannot be sent soon."""
+    mock.patch.object(replies, 'AGAIN_S', (0.1, 0.1)).start()
+
+
 FAULTS = {
+    'late_clients': late_clients,
+    'hasty': hasty,
     'slow_disk': slow_disk,
     'faulty_session': faulty_session,
     'faulty_services': faulty_services,

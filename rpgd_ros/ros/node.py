@@ -17,6 +17,7 @@ from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.service import Service
 from rclpy.timer import Timer
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -26,9 +27,10 @@ from rpgd_ros.ros import health
 from rpgd_ros.ros.camera_inputs import CameraInputs
 from rpgd_ros.ros.declare import LiveParameters, declare, given_values
 from rpgd_ros.ros.engine import Engine
-from rpgd_ros.ros.inputs import JointInput, health_by_stream
+from rpgd_ros.ros.inputs import LOG_SECONDS, JointInput, health_by_stream
 from rpgd_ros.ros.job import answer
 from rpgd_ros.ros.overlays import Overlays
+from rpgd_ros.ros.replies import Replies
 from rpgd_ros.ros.results import ReportWriter, Results
 from rpgd_ros.ros.settings import NodeConfig
 from rpgd_ros.ros.setup import read_setup
@@ -57,6 +59,7 @@ class CalibratorNode(Node):
             InputError: Rig file or parameters that cannot be used.
 
         """
+        self._replies = Replies()  # before the services of parameters, which are rclpy's own
         super().__init__(name)
         rig, config = read_setup(given_values(self))
         cameras = tuple(config.cameras)
@@ -148,6 +151,10 @@ class CalibratorNode(Node):
         silent = PublisherEventCallbacks(use_default_callbacks=False)
         return super().create_publisher(*args, event_callbacks=silent, **keywords)
 
+    def create_service(self, *args: Any, **keywords: Any) -> Service:
+        """Create a service whose answers reach new clients too; arguments as for rclpy."""
+        return self._replies.keep(super().create_service(*args, **keywords))
+
     def _on_config(self, config: NodeConfig) -> None:
         session = self._engine.session
         session.update_config(config.session())
@@ -168,6 +175,10 @@ class CalibratorNode(Node):
             self._follow()
         else:
             self._look()
+        lost = self._replies.send_due()
+        if lost:
+            message = f'an answer of {lost} was not sent: its caller was not found'
+            Node.get_logger(self).warning(message, throttle_duration_sec=LOG_SECONDS)
 
     def _follow(self) -> None:
         """Follow the graph and hand on what has come."""

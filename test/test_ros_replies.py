@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Answers of services to clients that the middleware has not found yet."""
+
+from __future__ import annotations
+
+import signal
+import time
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from fault_report import Measured
+from harness import ros_environment, running
+from rcl_interfaces.srv import ListParameters
+from ros_live import WAIT_S, live
+
+from rpgd_ros.ros import replies
+from rpgd_ros.ros.client import NODE
+from rpgd_ros.ros.domain import free_domain
+from rpgd_ros.ros.replies import AGAIN_S, DROPPED, MAX_KEPT, Replies
+
+if TYPE_CHECKING:
+    from rclpy.service import Service
+
+HERE = Path(__file__).parent
+FAULTY = str(HERE / 'faulty_calibrator.py')
+
+
+@pytest.mark.fault(6)
+def test_client_that_is_found_late_gets_its_answer(rig: Path, measured: Measured) -> None:
+    """Of the node's own services and of those for parameters, once, and nobody sees a warning."""
+    with live(rig, program=[FAULTY, 'late_clients']) as node:
+        start = time.monotonic()
+        assert node.calibrate()[1]['reason'] == 'no_data'
+        measured('answered', time.monotonic() - start, 's')
+        assert node.child.output.count('dropped\n') == 2
+        called = node.peer.begin_call(
+            f'{NODE}/list_parameters', seconds=WAIT_S, srv_type=ListParameters
+        )
+        assert called is not None
+        node.wait_until('no answer', called.done)
+        assert 'rig_file' in called.result().result.names
+        assert node.child.output.count('dropped\n') == 4
+        assert node.child.end(signal.SIGINT, seconds=WAIT_S) == 0
+        assert 'Warning' not in node.child.output
+
+
+@pytest.mark.fault(6)
+def test_client_that_is_never_found_is_given_up_and_keeps_nobody_waiting(rig: Path) -> None:
+    """The middleware drops its answers for real: the log says of which service."""
+    domain = free_domain()
+    deaf = ros_environment(
+        domain,
+        FASTRTPS_DEFAULT_PROFILES_FILE=str(HERE / 'deaf_readers.xml'),
+        RMW_FASTRTPS_USE_QOS_FROM_XML='1',
+    )
+    with (
+        live(rig, domain=domain, program=[FAULTY, 'hasty']) as node,
+        running([str(HERE / 'ros_deaf_caller.py')], deaf) as caller,
+    ):
+        node.child.wait_for(f'an answer of /{NODE}/reset was not sent', seconds=WAIT_S)
+        assert node.call('reset').success
+        assert caller.end(signal.SIGTERM, seconds=WAIT_S) == 0, caller.output
+        assert node.child.end(signal.SIGINT, seconds=WAIT_S) == 0
+        assert DROPPED not in node.child.output
+
+
+class Client:
+    """Takes answers after a number of them was dropped, as a service sees it."""
+
+    service_name = 'reset'
+
+    def __init__(self, n_dropped: int) -> None:
+        """Drop so many."""
+        self.n_dropped = n_dropped
+        self.taken: list[object] = []
+        self.tried_s: list[float] = []
+
+    def send_response(self, response: object, _header: object) -> None:
+        """Take or drop it."""
+        self.tried_s.append(replies.time.monotonic())  # type: ignore[attr-defined]
+        if len(self.tried_s) > self.n_dropped:
+            self.taken.append(response)
+        else:
+            warnings.warn(f'{DROPPED} (timeout): client', RuntimeWarning, stacklevel=1)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return a clock that stands until it is set."""
+    now = [100.0]
+    monkeypatch.setattr(replies, 'time', SimpleNamespace(monotonic=lambda: now[0]))
+    return now
+
+
+@pytest.mark.parametrize('n_dropped', range(len(AGAIN_S) + 2))
+def test_answer_is_sent_once_at_the_first_trial_that_reaches(
+    clock: list[float], n_dropped: int
+) -> None:
+    """Each trial waits longer than the one before, and after the last the service is named."""
+    client, kept = Client(n_dropped), Replies()
+    service = kept.keep(cast('Service', client))
+    service.send_response('answer', None)
+    given_up = []
+    for _ in range(400):
+        clock[0] += 0.05
+        given_up.append(kept.send_due())
+    assert not kept.unsent
+    is_found = n_dropped <= len(AGAIN_S)
+    assert client.taken == ['answer'] * is_found
+    assert ''.join(given_up) == ('' if is_found else 'reset')
+    waits = [b - a for a, b in zip(client.tried_s, client.tried_s[1:], strict=False)]
+    assert waits == pytest.approx(AGAIN_S[: len(waits)], abs=0.051)
+
+
+def test_flood_of_clients_that_are_not_found_is_capped(clock: list[float]) -> None:
+    """The oldest are dropped, and a poll tries one of them at a time."""
+    client, kept = Client(10**6), Replies()
+    service = kept.keep(cast('Service', client))
+    for n in range(3 * MAX_KEPT):
+        service.send_response(n, None)
+    assert len(kept.unsent) == MAX_KEPT
+    clock[0] += 1.0
+    kept.send_due()
+    assert len(client.tried_s) == 3 * MAX_KEPT + 1
+
+
+def test_other_warnings_are_shown_as_before() -> None:
+    """Also where somebody else listens to them."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter('always')
+        Replies()
+        warnings.warn('something else', RuntimeWarning, stacklevel=1)
+        warnings.warn(f'{DROPPED}: client', RuntimeWarning, stacklevel=1)
+    assert [str(warning.message) for warning in heard] == ['something else']
