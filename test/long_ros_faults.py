@@ -7,10 +7,11 @@ make it shorter.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import random
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -21,14 +22,15 @@ import numpy as np
 import pytest
 from fault_report import Measured
 from fuzzing import text_target
+from harness import ros_environment
 from ros_live import WAIT_S, Live, live
 from ros_scene import Scene
 from test_ros_faults_inputs import resident_mib, restamped
 from test_ros_faults_life import start_and_stop
 
-from rpgd_ros.core.errors import InputError
 from rpgd_ros.messages import encode_pose_array
 from rpgd_ros.ros.client import NODE
+from rpgd_ros.ros.domain import free_domain
 from rpgd_ros.ros.player import Timed
 from rpgd_ros.simulation.export import MOCAP_TOPIC
 
@@ -45,10 +47,7 @@ MAX_ANSWER_S = 180.0
 LATE_S = 60.0  # more, until an answer is given up for lost
 WARM_SHARE = 0.25  # of the time, until every bounded container is full
 MAX_SLOPE_MIB_PER_MIN = 1.0
-# Forked from a server without threads: those of DDS, which earlier tests have left in this
-# process, may hold a lock for ever in a fork of it.
-CHILDREN = multiprocessing.get_context('forkserver')
-CHILDREN.set_forkserver_preload(['__main__', 'rclpy.node', 'rpgd_ros.ros.setup'])
+READER = str(Path(__file__).with_name('parameter_reader.py'))
 
 
 @pytest.mark.fault(6)
@@ -180,41 +179,6 @@ def test_half_an_hour_of_studio_changes_nothing(
     assert np.ptp(warm[:, 3]) <= 2, usage
 
 
-def read_in_a_child(path: Path) -> int:
-    """Read a parameter file as the node does, in a process of its own; return how that ended."""
-    child = CHILDREN.Process(target=end_with, args=(path,))
-    child.start()
-    child.join(WAIT_S)
-    child.kill()  # that hangs
-    child.join()
-    assert child.exitcode is not None
-    return child.exitcode
-
-
-def end_with(path: Path) -> None:
-    """End the process as reading a parameter file does."""
-    os._exit(read_parameters(path))
-
-
-def read_parameters(path: Path) -> int:
-    """Read a parameter file; return 0, or 2 where it is refused in our words."""
-    import rclpy  # noqa: PLC0415
-    from rclpy.node import Node  # noqa: PLC0415
-
-    from rpgd_ros.ros.declare import given_values  # noqa: PLC0415
-    from rpgd_ros.ros.process import _init  # noqa: PLC0415
-    from rpgd_ros.ros.setup import read_setup  # noqa: PLC0415
-
-    try:
-        _init(['calibrator', '--ros-args', '--params-file', str(path)])
-        read_setup(given_values(Node('rpgd_calibrator')))
-    except InputError:
-        return 2
-    finally:
-        rclpy.try_shutdown()
-    return 0
-
-
 @pytest.mark.fault(20)
 def test_damaged_parameter_files_are_read_or_refused(
     rig: Path, tmp_path: Path, measured: Measured
@@ -232,17 +196,28 @@ def test_damaged_parameter_files_are_read_or_refused(
     whole = {'/**': {'ros__parameters': tree}}
     path = tmp_path / 'parameters.yaml'
     codes: dict[int, int] = {}
+    command = [sys.executable, READER]
+    environment = ros_environment(free_domain())
+    with subprocess.Popen(
+        command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as reader:
+        assert reader.stdin
+        assert reader.stdout
+        asked, told = reader.stdin, reader.stdout
 
-    def read(spoilt: str) -> None:
-        path.write_text(spoilt)
-        code = read_in_a_child(path)
-        codes[code] = codes.get(code, 0) + 1
-        assert code in {0, 2}, spoilt
+        def read(spoilt: str) -> None:
+            path.write_text(spoilt)
+            asked.write(f'{path}\n')
+            asked.flush()
+            code = int(told.readline())
+            codes[code] = codes.get(code, 0) + 1
+            assert code in {0, 2}, spoilt
 
-    target = text_target(whole, yaml.safe_dump(whole), read)
-    end = time.monotonic() + FUZZ_SECONDS
-    n = 0
-    while time.monotonic() < end:
-        target(random.Random(n))  # noqa: S311
-        n += 1
+        target = text_target(whole, yaml.safe_dump(whole), read)
+        end = time.monotonic() + FUZZ_SECONDS
+        n = 0
+        while time.monotonic() < end:
+            target(random.Random(n))  # noqa: S311
+            n += 1
+        asked.close()
     measured(', '.join(f'{k} x exit {c}' for c, k in sorted(codes.items())), n=n)
