@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from fault_report import IS_FULL, measured
+from fault_report import IS_FULL, fault_round, measured
 from hypothesis import settings
 from ros_scene import Scene, make_scene
 
@@ -36,7 +36,7 @@ settings.load_profile('repeatable')
 # Offline tests run where ROS was never installed.
 collect_ignore_glob = [] if find_spec('rclpy') else ['test_ros_*.py']
 
-__all__ = ['measured', 'recording']
+__all__ = ['fault_round', 'measured', 'recording']
 
 RECORDINGS = Path(
     os.environ.get('RPGD_ROS_RECORDINGS', Path(__file__).parents[2] / 'shared' / 'data')

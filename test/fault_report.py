@@ -2,7 +2,8 @@
 """The faults and threats that the package has to survive: what each is, and what is asked for.
 
 A test says with `@pytest.mark.fault(12)` or `@pytest.mark.threat('S5')` which of them it shows,
-and with the fixture `measured` what came out. `faults.py` runs these tests and prints the table.
+and with the fixture `measured` what came out. `faults.py` runs these tests and prints the table;
+with `@pytest.mark.fault(7, rounds=10)` it runs a test ten times, for what may be luck once.
 """
 
 from __future__ import annotations
@@ -116,6 +117,12 @@ def measured(request: pytest.FixtureRequest) -> Iterator[Measured]:
     figures: list[Figure] = []
     yield Measured(figures)
     request.node.user_properties += [('measured', tuple(figure)) for figure in figures]
+
+
+@pytest.fixture
+def fault_round() -> int:
+    """Return which round of a test it is; `faults.py` counts them up."""
+    return 0
 
 
 def repeats(full: int, few: int) -> int:

@@ -44,6 +44,14 @@ class Collector:
         self.n_repeats: dict[str, int] = defaultdict(int)
         self.seconds: dict[str, float] = defaultdict(float)
 
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        """Do ten rounds of a test that says so: once may be luck among processes."""
+        marks = metafunc.definition.iter_markers('fault')
+        n_rounds = max((int(mark.kwargs.get('rounds', 1)) for mark in marks), default=1)
+        if n_rounds > 1:
+            metafunc.fixturenames.append('fault_round')
+            metafunc.parametrize('fault_round', range(n_rounds))
+
     def pytest_collection_modifyitems(
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> None:
@@ -65,7 +73,7 @@ class Collector:
             figures = [Figure(*v) for v in values if isinstance(v, tuple)]
             for row in self._rows[report.nodeid]:
                 self.figures[row] += figures
-                self.n_repeats[row] += max((figure.n for figure in figures), default=1)
+                self.n_repeats[row] += repeats_of(figures)
 
     def verdict(self, row: str) -> str:
         """Say how a row did."""
@@ -76,6 +84,14 @@ class Collector:
             return 'skipped' if outcomes else 'no test'
         n_skipped = outcomes.count('skipped')
         return f'pass ({n_skipped} skipped or known to fail)' if n_skipped else 'pass'
+
+
+def repeats_of(figures: Sequence[Figure]) -> int:
+    """Return how often a test did what it measured, of the figure that it measured most."""
+    n: dict[str, int] = defaultdict(int)
+    for figure in figures:
+        n[figure.what] += figure.n
+    return max(n.values(), default=1)
 
 
 def summary(figures: Sequence[Figure]) -> str:

@@ -55,7 +55,7 @@ def flood(walk: Scene, seconds: float) -> Iterator[Timed]:
         yield MOCAP_TOPIC, walk.messages[0][1], restamped(whole[n % len(whole)], stamp_ns)
 
 
-@pytest.mark.fault(8)
+@pytest.mark.fault(8, rounds=3)
 def test_flood_costs_no_memory_and_no_answer(walk: Scene, rig: Path, measured: Measured) -> None:
     """Skeletons as fast as a publisher can: the store stays bounded, the node answers."""
     with live(rig, 'buffer.max_frames:=5000') as node:
@@ -81,7 +81,7 @@ def test_flood_costs_no_memory_and_no_answer(walk: Scene, rig: Path, measured: M
         assert int(entry['expired']) > 0
 
 
-@pytest.mark.fault(9)
+@pytest.mark.fault(9, rounds=10)
 def test_giant_between_good_messages_is_refused_by_its_length(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:
@@ -116,7 +116,7 @@ def test_giant_between_good_messages_is_refused_by_its_length(
         assert sum(sent.values()) > third
 
 
-@pytest.mark.fault(12)
+@pytest.mark.fault(12, rounds=10)
 def test_zero_and_future_stamps_are_refused_and_named_by_topic(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:
@@ -142,7 +142,7 @@ def test_zero_and_future_stamps_are_refused_and_named_by_topic(
     measured('zero and future stamps counted', n=n_zero + n_future)
 
 
-@pytest.mark.fault(13)
+@pytest.mark.fault(13, rounds=10)
 def test_looped_bag_starts_over_once(walk: Scene, rig: Path, measured: Measured) -> None:
     """Without /clock: after the jump all pairs are there again, of one side only."""
     with live(rig) as node:
@@ -166,7 +166,7 @@ def test_looped_bag_starts_over_once(walk: Scene, rig: Path, measured: Measured)
         assert_close(found(answer), walk)
 
 
-@pytest.mark.fault(15)
+@pytest.mark.fault(15, rounds=10)
 def test_each_reliability_and_durability_is_heard_or_named(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:
@@ -188,15 +188,18 @@ def without(messages: Sequence[Timed], topic: str) -> list[Timed]:
     return [m for m in messages if m[0] != topic]
 
 
-@pytest.mark.fault(16)
+@pytest.mark.fault(16, rounds=10)
 def test_camera_that_dies_is_named_and_the_others_calibrate(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:
-    """One never starts, one stops midway: both are in the diagnostics, the result is right."""
+    """One never starts, one stops midway: both are in the diagnostics, the result is right.
+
+    The reports come as seldom as they do by default.
+    """
     silent, dying = 'cam0/keypoints', 'cam1/keypoints'
     messages = without(walk.messages, silent)
     half = len(messages) // 2
-    with live(rig) as node:
+    with live(rig, 'diagnostics_period:=1.0') as node:
         node.advertise({t: k for t, k in walk.topics.items() if t != silent})
         last = next(i for i in range(half, 0, -1) if messages[i][0] == dying)
         node.peer.play(messages[: last + 1], rate=8.0)
@@ -204,7 +207,7 @@ def test_camera_that_dies_is_named_and_the_others_calibrate(
         node.peer.play(without(messages[last + 1 :], dying), rate=8.0)
         node.wait_until('not told', lambda: 'no message' in node.peer.message('camera cam1'))
         measured('named', time.monotonic() - died, 's')
-        assert time.monotonic() - died < within(3.5)
+        assert time.monotonic() - died < within(3.0)
         assert 'nobody publishes /cam0/keypoints' in node.peer.message('camera cam0')
         assert node.peer.level('camera cam1') == b'\x01'
         success, answer = node.calibrate()

@@ -151,7 +151,7 @@ def test_node_starts_and_stops_again_and_again(rig: Path, measured: Measured) ->
     start_and_stop(rig, repeats(10, 2), measured)
 
 
-@pytest.mark.fault(7)
+@pytest.mark.fault(7, rounds=10)
 def test_exception_in_a_callback_is_counted_and_survived(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:
@@ -178,7 +178,7 @@ def test_exception_in_a_callback_is_counted_and_survived(
         assert node.child.output.count('internal error') <= 2  # the log is not flooded
 
 
-@pytest.mark.fault(7)
+@pytest.mark.fault(7, rounds=10)
 def test_exception_in_a_service_or_an_automatic_run_is_survived(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:
@@ -199,11 +199,11 @@ def test_exception_in_a_service_or_an_automatic_run_is_survived(
 
         node.wait_until('not counted', lambda: counted() > 4)
         assert node.call('load').success is False
-        measured('told', n=counted())
+        measured('exceptions in services counted', n=counted())
         assert 'Traceback' not in node.child.output
 
 
-@pytest.mark.fault(24)
+@pytest.mark.fault(24, rounds=10)
 def test_full_disk_is_said_and_harms_nothing(
     walk: Scene, rig: Path, tmp_path: Path, measured: Measured
 ) -> None:
@@ -241,7 +241,7 @@ def save_is_refused(node: Live, words: str) -> None:
     assert words in answer['message'], answer
 
 
-@pytest.mark.fault(24)
+@pytest.mark.fault(24, rounds=10)
 def test_result_that_cannot_be_saved_is_kept_until_it_can(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:

@@ -63,7 +63,7 @@ def test_of_many_callers_at_once_one_is_served(walk: Scene, rig: Path, measured:
             assert answered_bits(served[0]) == answered_bits(alone)
 
 
-@pytest.mark.fault(19)
+@pytest.mark.fault(19, rounds=10)
 def test_parameters_are_set_while_a_calibration_runs(
     walk: Scene, rig: Path, measured: Measured
 ) -> None:
@@ -115,7 +115,7 @@ def moved(messages: Sequence[Timed], new_T_old: RigidTransform) -> list[Timed]:
     return out
 
 
-@pytest.mark.fault(21)
+@pytest.mark.fault(21, rounds=10)
 def test_late_joiners_see_the_newest_transform(walk: Scene, rig: Path, measured: Measured) -> None:
     """Subscribers from before, between and after two calibrations with a moved truth agree."""
     new_T_old = RigidTransform(so3_exp([0.1, -0.2, 0.7]), np.array([1.0, -2.0, 0.5]))

@@ -37,7 +37,8 @@ DEPTH = 1000
 MAX_DRAINED = 50  # messages of one topic at a turn, so that the others get theirs
 MAX_PENDING_BYTES = 4 * 2**20  # handed on at once beyond it: 0.1 s of a flood stays small
 LOG_SECONDS = 5.0  # between two log lines of one kind
-STALE_SECONDS = 3.0  # a camera at 1 fps is still alive, a dead one is named within 3 s
+# A camera at 1 fps is still alive; a dead one is named within 3 s, reports coming each second.
+STALE_SECONDS = 1.8
 
 Deliver = Callable[[str, str, Sequence[bytes], Sequence[int]], None]
 
