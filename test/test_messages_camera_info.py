@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 from typing import Any
 
 import cv2
@@ -166,6 +167,22 @@ def test_intrinsics_that_cannot_be_are_refused(
     with pytest.raises(InputError, match=message) as refused:
         decode_camera_info(payload(**changes)).camera('cam0', None)
     assert refused.value.reason is reason
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('field', ['d', 'k', 'r', 'p'])
+@pytest.mark.parametrize('little_endian', [True, False])
+def test_signalling_nan_is_refused_without_a_warning(field: str, *, little_endian: bool) -> None:
+    """Numpy warns where it asks such a NaN for anything; the log is no place for that."""
+    whole: dict[str, Any] = {'d': PLUMB_BOB, 'k': K, 'r': R, 'p': P}
+    marked, mark = np.array(whole[field]).ravel(), 123.456
+    marked[1] = mark
+    message = peers.serialise(camera_info(**{field: marked}), little_endian=little_endian)
+    order = '<' if little_endian else '>'
+    nan = struct.pack(f'{order}Q', 0x7FF4000000000000)
+    assert message.count(struct.pack(f'{order}d', mark)) == 1
+    with pytest.raises(InputError, match='finite'):
+        decode_camera_info(message.replace(struct.pack(f'{order}d', mark), nan))
 
 
 def test_rectified_keypoints_need_a_rectification() -> None:

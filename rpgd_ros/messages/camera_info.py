@@ -83,6 +83,7 @@ class CameraInfo:
             raise InputError(Reason.BAD_MESSAGE, f'CameraInfo: {error}') from error
 
 
+@np.errstate(invalid='ignore')  # asking a signalling NaN
 def decode_camera_info(payload: bytes) -> CameraInfo:
     """Read a serialised sensor_msgs/CameraInfo.
 
