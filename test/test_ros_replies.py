@@ -22,7 +22,7 @@ from ros_live import WAIT_S, live
 from rpgd_ros.ros import replies
 from rpgd_ros.ros.client import NODE
 from rpgd_ros.ros.domain import free_domain
-from rpgd_ros.ros.replies import AGAIN_S, DROPPED, MAX_KEPT, Replies
+from rpgd_ros.ros.replies import AGAIN_S, DROPPED, MAX_KEPT, REST_S, Replies
 
 if TYPE_CHECKING:
     from rclpy.service import Service
@@ -119,15 +119,30 @@ def test_answer_is_sent_once_at_the_first_trial_that_reaches(
 
 
 def test_flood_of_clients_that_are_not_found_is_capped(clock: list[float]) -> None:
-    """The oldest are dropped, and a poll tries one of them at a time."""
+    """The oldest are dropped, and most of the time is left for other work."""
     client, kept = Client(10**6), Replies()
     service = kept.keep(cast('Service', client))
     for n in range(3 * MAX_KEPT):
         service.send_response(n, None)
     assert len(kept.unsent) == MAX_KEPT
-    clock[0] += 1.0
-    kept.send_due()
-    assert len(client.tried_s) == 3 * MAX_KEPT + 1
+    n_trials = len(client.tried_s)
+    for _ in range(200):
+        clock[0] += 0.05
+        kept.send_due()
+    assert 10.0 / (REST_S + 0.05) - 2 <= len(client.tried_s) - n_trials <= 10.0 / REST_S
+
+
+def test_those_that_are_found_are_answered_at_once(clock: list[float]) -> None:
+    """One at each poll: only trials in vain take time."""
+    client, kept = Client(10), Replies()
+    service = kept.keep(cast('Service', client))
+    for n in range(10):
+        service.send_response(n, None)
+    clock[0] += AGAIN_S[0]
+    for _ in range(10):
+        clock[0] += 0.05
+        kept.send_due()
+    assert client.taken == list(range(10))
 
 
 def test_other_warnings_are_shown_as_before() -> None:

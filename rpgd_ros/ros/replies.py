@@ -23,6 +23,7 @@ DROPPED = 'failed to send response'
 # Each trial may take those 100 ms, so they become rare. Announcements that were lost come again
 # every 3 s; who was not found after four of them has gone.
 AGAIN_S = (0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
+REST_S = 0.3  # after a trial in vain, for everything else that the node has to do
 MAX_KEPT = 100
 
 
@@ -56,6 +57,7 @@ class Replies:
         """Begin to hear the warnings of this process."""
         self.unsent: deque[Reply] = deque(maxlen=MAX_KEPT)
         self._is_dropped = False
+        self._rests_until_s = 0.0
         self._show = warnings.showwarning
         warnings.filterwarnings('always', DROPPED, RuntimeWarning)
         warnings.showwarning = self._on_warning
@@ -82,11 +84,12 @@ class Replies:
         """
         now_s = time.monotonic()
         reply = next((reply for reply in self.unsent if reply.due_s <= now_s), None)
-        if reply is None:
+        if reply is None or now_s < self._rests_until_s:
             return ''
         self.unsent.remove(reply)
         if self._is_sent(reply.send):
             return ''
+        self._rests_until_s = time.monotonic() + REST_S
         if reply.n_again == len(AGAIN_S) - 1:
             return reply.service
         reply.n_again += 1
