@@ -7,10 +7,11 @@ import json
 import signal
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 from geometry_msgs.msg import TransformStamped
-from ros_live import WAIT_S, answered_bits, assert_close, bits, live, slow
+from ros_live import WAIT_S, Live, answered_bits, assert_close, bits, live, slow
 from ros_scene import Scene
 from std_msgs.msg import Float64
 
@@ -83,24 +84,33 @@ def test_load_publishes_what_the_file_holds(walk: Scene, rig: Path) -> None:
         assert bits(node.latched('transform', TransformStamped)) == found
 
 
+def calibrate_half(node: Live, walk: Scene, number: int) -> dict[str, Any]:
+    """Play the first (0) or the second half of a walk; return the answer of a calibration."""
+    half = len(walk.messages) // 2
+    node.peer.play(walk.messages[half:] if number else walk.messages[:half], rate=8.0)
+    n_sent = len(walk.messages) if number else half
+    node.wait_until('not counted', lambda: sum(node.received().values()) == n_sent)
+    return node.calibrate()[1]
+
+
+def wait_for_published(node: Live, answer: dict[str, Any]) -> None:
+    """Wait until the published transform is that of an answer, bit for bit."""
+    node.wait_until(
+        'not published',
+        lambda: bits(node.latched('transform', TransformStamped)) == answered_bits(answer),
+    )
+
+
 def test_revert_goes_back_to_the_calibration_before(walk: Scene, rig: Path) -> None:
     """A second walk with a bumped camera is undone, on the topics and in the file."""
     with live(rig) as node:
         node.advertise(walk.topics)
-        half = len(walk.messages) // 2
-        node.peer.play(walk.messages[:half], rate=8.0)
-        node.wait_until('not counted', lambda: sum(node.received().values()) == half)
-        first = node.calibrate()[1]
+        first = calibrate_half(node, walk, 0)
         assert not node.call('revert').success
-        node.peer.play(walk.messages[half:], rate=8.0)
-        node.wait_until('not counted', lambda: sum(node.received().values()) == len(walk.messages))
-        second = node.calibrate()[1]
+        second = calibrate_half(node, walk, 1)
         assert second['xyz'] != first['xyz']
         assert node.call('revert').success
-        node.wait_until(
-            'not published',
-            lambda: bits(node.latched('transform', TransformStamped)) == answered_bits(first),
-        )
+        wait_for_published(node, first)
         stored = read_result(rig.parent / 'result.yaml')
         assert stored.world_T_mocap.translation.tolist() == first['xyz']
 
@@ -110,20 +120,12 @@ def test_loaded_result_takes_the_place_of_the_accepted_one(walk: Scene, rig: Pat
     path = rig.parent / 'result.yaml'
     with live(rig) as node:
         node.advertise(walk.topics)
-        half = len(walk.messages) // 2
-        node.peer.play(walk.messages[:half], rate=8.0)
-        node.wait_until('not counted', lambda: sum(node.received().values()) == half)
-        first = node.calibrate()[1]
+        first = calibrate_half(node, walk, 0)
         kept = path.read_bytes()
-        node.peer.play(walk.messages[half:], rate=8.0)
-        node.wait_until('not counted', lambda: sum(node.received().values()) == len(walk.messages))
-        second = node.calibrate()[1]
+        second = calibrate_half(node, walk, 1)
         path.write_bytes(kept)
         assert node.call('load').success
-        node.wait_until(
-            'not published',
-            lambda: bits(node.latched('transform', TransformStamped)) == answered_bits(first),
-        )
+        wait_for_published(node, first)
         node.wait_until(
             'still told', lambda: 'mpjpe_px' not in node.peer.diagnostics('calibration')
         )
@@ -135,10 +137,7 @@ def test_loaded_result_takes_the_place_of_the_accepted_one(walk: Scene, rig: Pat
         assert 'result.yaml was loaded' in refused.message
         assert path.read_bytes() == kept
         assert node.call('revert').success
-        node.wait_until(
-            'not published',
-            lambda: bits(node.latched('transform', TransformStamped)) == answered_bits(second),
-        )
+        wait_for_published(node, second)
         assert read_result(path).world_T_mocap.translation.tolist() == second['xyz']
         assert node.call('save').success
 
