@@ -86,7 +86,7 @@ def late_clients() -> None:
 
 def hasty() -> None:
     """Give up answers that cannot be sent soon."""
-    mock.patch.object(replies, 'AGAIN_S', (0.1, 0.1)).start()
+    mock.patch.object(replies, 'KEPT_S', 0.5).start()
 
 
 FAULTS = {

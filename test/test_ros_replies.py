@@ -22,7 +22,7 @@ from ros_live import WAIT_S, live
 from rpgd_ros.ros import replies
 from rpgd_ros.ros.client import NODE
 from rpgd_ros.ros.domain import free_domain
-from rpgd_ros.ros.replies import AGAIN_S, DROPPED, MAX_KEPT, REST_S, Replies
+from rpgd_ros.ros.replies import DROPPED, FIRST_WAIT_S, MAX_KEPT, REST_S, Replies
 
 if TYPE_CHECKING:
     from rclpy.service import Service
@@ -98,38 +98,55 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return now
 
 
-@pytest.mark.parametrize('n_dropped', range(len(AGAIN_S) + 2))
+@pytest.mark.parametrize('n_dropped', range(9))
 def test_answer_is_sent_once_at_the_first_trial_that_reaches(
     clock: list[float], n_dropped: int
 ) -> None:
-    """Each trial waits longer than the one before, and after the last the service is named."""
+    """Each wait is twice the one before; after 13 s the service is named."""
     client, kept = Client(n_dropped), Replies()
     service = kept.keep(cast('Service', client))
     service.send_response('answer', None)
-    given_up = []
-    for _ in range(400):
-        clock[0] += 0.05
-        given_up.append(kept.send_due())
+    given_up = polled(kept, clock, 20.0)
     assert not kept.unsent
-    is_found = n_dropped <= len(AGAIN_S)
+    is_found = n_dropped <= 6
     assert client.taken == ['answer'] * is_found
-    assert ''.join(given_up) == ('' if is_found else 'reset')
+    assert given_up == ([] if is_found else ['reset'])
     waits = [b - a for a, b in zip(client.tried_s, client.tried_s[1:], strict=False)]
-    assert waits == pytest.approx(AGAIN_S[: len(waits)], abs=0.051)
+    assert waits == pytest.approx([0.2 * 2**n for n in range(len(waits))], abs=0.051)
+
+
+def polled(kept: Replies, clock: list[float], seconds: float) -> list[str]:
+    """Poll for some time as the node does; return the services of what was given up."""
+    given_up = []
+    for _ in range(round(seconds / 0.05)):
+        clock[0] += 0.05
+        given_up += kept.send_due()
+    return given_up
 
 
 def test_flood_of_clients_that_are_not_found_is_capped(clock: list[float]) -> None:
-    """The oldest are dropped, and most of the time is left for other work."""
+    """The oldest are given up, and most of the time is left for other work."""
     client, kept = Client(10**6), Replies()
     service = kept.keep(cast('Service', client))
     for n in range(3 * MAX_KEPT):
         service.send_response(n, None)
     assert len(kept.unsent) == MAX_KEPT
     n_trials = len(client.tried_s)
-    for _ in range(200):
-        clock[0] += 0.05
-        kept.send_due()
+    assert polled(kept, clock, 10.0) == ['reset'] * 2 * MAX_KEPT
     assert 10.0 / (REST_S + 0.05) - 2 <= len(client.tried_s) - n_trials <= 10.0 / REST_S
+    assert polled(kept, clock, 4.0) == ['reset'] * MAX_KEPT
+    assert not kept.unsent
+
+
+def test_caller_that_is_found_does_not_wait_for_those_that_have_gone(clock: list[float]) -> None:
+    """Who came last is tried first."""
+    gone, found, kept = Client(10**6), Client(3), Replies()
+    for client, n in ((gone, 60), (found, 1)):
+        service = kept.keep(cast('Service', client))
+        for _ in range(n):
+            service.send_response('answer', None)
+        polled(kept, clock, 3.0)
+    assert found.taken == ['answer']
 
 
 def test_those_that_are_found_are_answered_at_once(clock: list[float]) -> None:
@@ -138,10 +155,8 @@ def test_those_that_are_found_are_answered_at_once(clock: list[float]) -> None:
     service = kept.keep(cast('Service', client))
     for n in range(10):
         service.send_response(n, None)
-    clock[0] += AGAIN_S[0]
-    for _ in range(10):
-        clock[0] += 0.05
-        kept.send_due()
+    clock[0] += FIRST_WAIT_S
+    polled(kept, clock, 0.5)
     assert client.taken == list(range(10))
 
 

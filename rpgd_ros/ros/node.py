@@ -177,7 +177,8 @@ class CalibratorNode(Node):
             self._look()
         lost = self._replies.send_due()
         if lost:
-            message = f'an answer of {lost} was not sent: its caller was not found'
+            services = ', '.join(sorted(set(lost)))
+            message = f'an answer of {services} was not sent: its caller was not found'
             Node.get_logger(self).warning(message, throttle_duration_sec=LOG_SECONDS)
 
     def _follow(self) -> None:

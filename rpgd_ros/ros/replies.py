@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -20,9 +19,10 @@ from rclpy.service import Service
 
 # How rclpy tells of a dropped answer: by a warning, and by nothing else.
 DROPPED = 'failed to send response'
-# Each trial may take those 100 ms, so they become rare. Announcements that were lost come again
-# every 3 s; who was not found after four of them has gone.
-AGAIN_S = (0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
+# Announcements that were lost come again every 3 s; who was not found after four of them has gone.
+KEPT_S = 13.0
+# Each trial may take those 100 ms, so they become rare: each wait is twice the one before.
+FIRST_WAIT_S = 0.2
 REST_S = 0.3  # after a trial in vain, for everything else that the node has to do
 MAX_KEPT = 100
 
@@ -34,15 +34,17 @@ class Reply:
     Attributes:
         service: Full name of the service.
         send: Sends it, or warns.
-        due_s: When to try again, by the steady clock.
-        n_again: How often it was tried again.
+        since_s: When it was tried first, by the steady clock.
+        wait_s: From the last trial to the next.
+        due_s: When that is.
 
     """
 
     service: str
     send: Callable[[], None]
+    since_s: float
+    wait_s: float
     due_s: float
-    n_again: int = 0
 
 
 class Replies:
@@ -55,7 +57,8 @@ class Replies:
 
     def __init__(self) -> None:
         """Begin to hear the warnings of this process."""
-        self.unsent: deque[Reply] = deque(maxlen=MAX_KEPT)
+        self.unsent: list[Reply] = []
+        self._given_up: list[str] = []
         self._is_dropped = False
         self._rests_until_s = 0.0
         self._show = warnings.showwarning
@@ -69,33 +72,46 @@ class Replies:
         def send(response: Any, header: Any) -> None:
             send_one = partial(send_at_once, response, header)
             if not self._is_sent(send_one):
-                due_s = time.monotonic() + AGAIN_S[0]
-                self.unsent.append(Reply(service.service_name, send_one, due_s))
+                self._keep(service.service_name, send_one)
 
         service.send_response = send  # type: ignore[method-assign]
         return service
 
-    def send_due(self) -> str:
-        """Try the first answer again that is due.
+    def send_due(self) -> list[str]:
+        """Try one answer again that is due, if any.
 
         Returns:
-            Full name of the service whose answer was given up, '' = none was.
+            Full names of the services of which answers were given up since the last time.
 
         """
         now_s = time.monotonic()
-        reply = next((reply for reply in self.unsent if reply.due_s <= now_s), None)
-        if reply is None or now_s < self._rests_until_s:
-            return ''
-        self.unsent.remove(reply)
+        for reply in [reply for reply in self.unsent if now_s - reply.since_s > KEPT_S]:
+            self._give_up(reply)
+        due = [reply for reply in self.unsent if reply.due_s <= now_s]
+        if due and now_s >= self._rests_until_s:
+            # The newest callers first: who was looked for in vain for long has likely gone.
+            self._try_again(max(due, key=lambda reply: reply.since_s))
+        given_up, self._given_up = self._given_up, []
+        return given_up
+
+    def _keep(self, service: str, send: Callable[[], None]) -> None:
+        now_s = time.monotonic()
+        self.unsent.append(Reply(service, send, now_s, FIRST_WAIT_S, now_s + FIRST_WAIT_S))
+        if len(self.unsent) > MAX_KEPT:
+            self._give_up(self.unsent[0])
+
+    def _try_again(self, reply: Reply) -> None:
         if self._is_sent(reply.send):
-            return ''
-        self._rests_until_s = time.monotonic() + REST_S
-        if reply.n_again == len(AGAIN_S) - 1:
-            return reply.service
-        reply.n_again += 1
-        reply.due_s = time.monotonic() + AGAIN_S[reply.n_again]
-        self.unsent.append(reply)
-        return ''
+            self.unsent.remove(reply)
+            return
+        now_s = time.monotonic()
+        self._rests_until_s = now_s + REST_S
+        reply.wait_s *= 2.0
+        reply.due_s = now_s + reply.wait_s
+
+    def _give_up(self, reply: Reply) -> None:
+        self.unsent.remove(reply)
+        self._given_up.append(reply.service)
 
     def _is_sent(self, send: Callable[[], None]) -> bool:
         self._is_dropped = False
