@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -278,6 +279,15 @@ def test_process_waits_for_a_file_that_is_being_written() -> None:
     worker.request_stop()
     worker.join()
     assert is_written.is_set()
+
+
+def test_job_that_ends_its_thread_is_an_error_of_its_own() -> None:
+    """A library may call sys.exit: a node that waited for an answer would be busy for ever."""
+    is_done = threading.Event()
+    ended = Worker().start(sys.exit, None)
+    ended.add_done_callback(lambda _: is_done.set())
+    assert is_done.wait(10.0)
+    assert isinstance(ended.result(), RuntimeError)
 
 
 def test_attempt_returns_what_was_raised() -> None:

@@ -19,6 +19,21 @@ from rpgd_ros.io.result_file import read_result
 from rpgd_ros.ros.client import NODE
 
 
+def test_result_of_a_clock_that_is_ahead_is_of_now(walk: Scene, rig: Path) -> None:
+    """It was set back since, or the file comes from another machine: no age is negative."""
+    path = rig.parent / 'result.yaml'
+    with live(rig) as node:
+        node.play(walk)
+        assert node.calibrate()[0]
+    stored = read_result(path).stamp_ns
+    path.write_text(path.read_text().replace(str(stored), str(stored + 7_200_000_000_000)))
+    path.with_suffix('.npz').unlink()
+    assert read_result(path).stamp_ns > stored
+    with live(rig) as node:
+        node.wait_until('no age', lambda: node.peer.diagnostics('calibration').get('age_s') == '0')
+        assert 'The transform of 0 s ago is published' in node.sentence()
+
+
 def test_answer_is_the_published_transform_bit_for_bit(walk: Scene, rig: Path) -> None:
     """The JSON keeps all digits, and so does the result file."""
     with live(rig) as node:
@@ -111,6 +126,14 @@ def test_revert_goes_back_to_the_calibration_before(walk: Scene, rig: Path) -> N
         assert second['xyz'] != first['xyz']
         assert node.call('revert').success
         wait_for_published(node, first)
+        node.wait_until(
+            'of the other',
+            lambda: node.latched('reprojection_error', Float64).data == first['mpjpe_px'],
+        )
+        told = f'{first["mpjpe_px"]:.6g}'
+        node.wait_until(
+            'of the other', lambda: node.peer.diagnostics('calibration')['recent_px'] == told
+        )
         stored = read_result(rig.parent / 'result.yaml')
         assert stored.world_T_mocap.translation.tolist() == first['xyz']
 
@@ -139,6 +162,10 @@ def test_loaded_result_takes_the_place_of_the_accepted_one(walk: Scene, rig: Pat
         assert node.call('revert').success
         wait_for_published(node, second)
         assert read_result(path).world_T_mocap.translation.tolist() == second['xyz']
+        node.wait_until(
+            'of the file',
+            lambda: node.peer.message('calibration') != 'published from the result file',
+        )
         assert node.call('save').success
 
 

@@ -16,7 +16,7 @@ from rpgd_ros.core.result import Calibration
 from rpgd_ros.io.result_file import StoredResult
 from rpgd_ros.ros.health import in_short
 from rpgd_ros.ros.inputs import LOG_SECONDS
-from rpgd_ros.ros.job import BUSY, SAVING, STOPPING, Outcome, answer, run
+from rpgd_ros.ros.job import ACCEPTED, BUSY, SAVING, STOPPING, Outcome, answer, run
 from rpgd_ros.ros.results import Results
 from rpgd_ros.ros.worker import Worker, attempt, attempt_to_end
 from rpgd_ros.session import Session, Snapshot
@@ -147,7 +147,12 @@ class Engine:
         ended = attempt(self.results.step_back)
         if isinstance(ended, Exception):
             return self._told(ended, '')
-        back = ended.appraisal
+        back, found = ended.appraisal, ended.calibration
+        # What was said of the run that is taken back is not true of this one.
+        self.last = Outcome(
+            ACCEPTED, '', ended.frames, calibration=found, recent_px=found.mpjpe_px, appraisal=back
+        )
+        self.results.publish_error(found.mpjpe_px)
         if back is not None:
             self.monitor.keep_watch(
                 back.pose, back.levels, offsets_s=back.offsets_s, poses=back.poses

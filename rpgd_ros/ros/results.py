@@ -115,8 +115,11 @@ class Results:
 
     @property
     def age_s(self) -> float:
-        """Time since the published pose was found, NaN where none is published."""
-        return time.time() - self._found_s
+        """Time since the published pose was found, NaN where none is published.
+
+        0 where the clock was set back, or the file is of a clock that is ahead.
+        """
+        return max(time.time() - self._found_s, 0.0)  # NaN stays
 
     @property
     def camera_poses(self) -> Mapping[str, CameraPose]:

@@ -84,7 +84,10 @@ class Worker:
         future = Future(executor=executor)
 
         def work() -> None:
-            ended = attempt(job)
+            try:
+                ended = attempt(job)
+            except BaseException as error:  # a library's sys.exit: the future must have an end
+                ended = RuntimeError(f'the job ended its thread: {error!r}')
             give_back()
             future.set_result(ended)
             if executor is not None:
