@@ -136,6 +136,22 @@ def test_long_foreign_names_are_cut() -> None:
     assert len(refused.value.message) < 200
 
 
+@pytest.mark.parametrize('frame', ['/world', ' ', 'a b', '\n', ''])
+@pytest.mark.parametrize('name', ['world_frame', 'mocap_frame', 'camera.cam0.frame_id'])
+def test_frame_that_a_rig_file_may_not_name_is_refused_as_a_parameter(
+    name: str, frame: str
+) -> None:
+    """TF would have it under another name, or a result file could not be read back."""
+    rig = Path(__file__).parents[1] / 'config' / 'rigs' / 'example_rig.yaml'
+    given = {'rig_file': str(rig), name: frame}
+    if not frame and name != 'world_frame':
+        read_setup(given)  # nothing is given
+        return
+    with pytest.raises(InputError, match=f'{name}: need a frame without blanks') as refused:
+        read_setup(given)
+    assert refused.value.reason is Reason.BAD_PARAMETER
+
+
 def test_frame_given_as_a_parameter_goes_before_the_pose_of_the_rig_file(tmp_path: Path) -> None:
     """The user who names a frame wants the pose of TF."""
     pose = 'camera_T_world: {xyz: [0, 0, 5], quat_xyzw: [0, 0, 0, 1]}'

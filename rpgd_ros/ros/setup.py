@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.io.rig import Rig, RigCamera, read_rig
+from rpgd_ros.io.rig_reader import FRAME
 from rpgd_ros.ros.parameters import check_names, read_config, shown
 from rpgd_ros.ros.settings import CameraSettings, MocapSettings, NodeConfig, NodeSettings
 
@@ -72,9 +73,15 @@ def overridden(rig: Rig, config: NodeConfig) -> Rig:
     """Return the rig as the parameters have it, with the cameras that are wanted.
 
     Raises:
-        InputError: BAD_PARAMETER. Both frames have the same name.
+        InputError: BAD_PARAMETER. A name that no frame may have, or both frames have the same.
 
     """
+    frames = {'world_frame': config.node.world_frame, 'mocap_frame': config.node.mocap_frame}
+    frames |= {f'camera.{name}.frame_id': c.frame_id for name, c in config.cameras.items()}
+    for name, frame in frames.items():
+        if not FRAME.fullmatch(frame) and (frame or name == 'world_frame'):
+            msg = f'{name}: need a frame without blanks and without / in front, got {shown(frame)}'
+            raise InputError(Reason.BAD_PARAMETER, msg)
     if config.node.mocap_frame == config.node.world_frame:
         msg = (
             f'world_frame and mocap_frame are both {shown(config.node.world_frame)}: '

@@ -52,7 +52,7 @@ class Session:
     @property
     def mocap_frame(self) -> str:
         """Frame of the skeletons: the rig file's, or that of the messages; '' = not known yet."""
-        return self._rig.mocap.frame or self._mocap.frame_id or ''
+        return self._rig.mocap.frame or (self._mocap.frame_id or '').strip()
 
     @property
     def n_epochs(self) -> int:
