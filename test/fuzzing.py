@@ -16,7 +16,7 @@ import numpy as np
 import peers
 import yaml
 from bags import mcap_bytes, walk, write_bag, write_humble_bag
-from mutation import damage, damage_tree
+from mutation import damage, damage_tree, tagged
 from studio import make_rig
 from test_io_result_file import save
 from test_messages_camera_info import payload as camera_info
@@ -97,6 +97,8 @@ def text_target(tree: Any, text: str, read: Callable[[str], object]) -> Target:
             spoilt = damage(rng.choice(texts), texts, rng).decode(errors='replace')
         else:
             spoilt = yaml.safe_dump(damage_tree(tree, rng))
+        if rng.random() < 0.1:
+            spoilt = tagged(spoilt, rng)
         with contextlib.suppress(InputError):
             read(spoilt)
 

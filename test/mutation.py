@@ -18,6 +18,8 @@ VALUES: tuple[Any, ...] = (
     {'xyz': [0, 0, 0], 'quat_xyzw': [0, 0, 0, 0]},
 )  # fmt: skip
 
+TAGS = ('!!int', '!!float', '!!bool', '!!null', '!!timestamp', '!!binary', '!!set', '!!omap', '!x')
+
 
 def damage(data: bytes, others: Sequence[bytes], rng: random.Random) -> bytes:
     """Return bytes after one to four kinds of damage.
@@ -104,6 +106,16 @@ def damage_tree(tree: Any, rng: random.Random) -> Any:
             other, name = rng.choice(places)
             holder[key] = copy.deepcopy(other[name] if other is not holder else holder[key])
     return out
+
+
+def tagged(text: str, rng: random.Random) -> str:
+    """Return YAML with a tag before one value, and perhaps an empty text in its place."""
+    ends = [match.end() for match in re.finditer(r'(: |- |\[|, )(?=\S)', text)]
+    if not ends:
+        return text
+    at = rng.choice(ends)
+    value = rng.choice(('', '"" #', '"-" #'))
+    return f'{text[:at]}{rng.choice(TAGS)} {value}{text[at:]}'
 
 
 def _places(tree: Any) -> Any:

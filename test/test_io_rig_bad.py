@@ -159,8 +159,16 @@ HOSTILE = {
     'a text': ('just words', 'need a mapping'),
     'not YAML': ('a: [1, 2', r'is not YAML: line \d, column'),
     'tabs': ('a:\n\t- b', 'is not YAML'),
-    'python object': ('a: !!python/object/apply:os.system [true]', 'is not YAML'),
-    'custom tag': ('a: !thing 1', 'is not YAML'),
+    'python object': ('a: !!python/object/apply:os.system [true]', r'line 1: tags \('),
+    'custom tag': (
+        'b: 1\na: !thing 1',
+        r"line 2: tags \('!thing'\) are not taken: write the plain",
+    ),
+    'tag of a number': ('a: !!int ""', r'line 1: tags \(.*:int'),
+    'tag of a sign': ('a: !!float "-"', r'line 1: tags \(.*:float'),
+    'tag of a truth': ('a: !!bool x', r'line 1: tags \(.*:bool'),
+    'tag of a time': ('a: !!timestamp x', r'line 1: tags \(.*:timestamp'),
+    'tag of a list': ('a: !!set [1]', r'line 1: tags \(.*:set'),
     'alias': ('a: &x [1]\nb: *x', r'line 2: aliases \(\*x\)'),
     'billion laughs': (
         'a: &a [x,x]\n' + ''.join(f'b{i}: &b{i} [*a,*a]\n' for i in range(9)),

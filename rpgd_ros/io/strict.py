@@ -189,7 +189,8 @@ def parse_yaml(text: str, source: str, reason: Reason, *, max_scalar: int = MAX_
     """Parse YAML text without running into its traps.
 
     Raises:
-        InputError: `reason`. Not YAML, empty, a key given twice, an alias, or absurdly large.
+        InputError: `reason`. Not YAML, empty, a key given twice, an alias, a tag, or absurdly
+            large.
 
     """
     if len(text) > MAX_BYTES:
@@ -211,12 +212,19 @@ def parse_yaml(text: str, source: str, reason: Reason, *, max_scalar: int = MAX_
 
 
 def _check_events(text: str, refusal: Callable[[str], InputError], max_scalar: int) -> None:
-    """Refuse what grows or nests without bound before anything is built from it."""
+    """Refuse what grows or nests without bound before anything is built from it.
+
+    Tags go the same way: on `!!int ""` and `!!bool x`, PyYAML ends in an IndexError and a KeyError.
+    """
     depth = 0
     for n, event in enumerate(yaml.parse(text, _Loader)):
         line = event.start_mark.line + 1 if event.start_mark else 0
         if isinstance(event, yaml.AliasEvent):
             msg = f'line {line}: aliases (*{event.anchor}) are not taken: write the value out'
+            raise refusal(msg)
+        tag = getattr(event, 'tag', None)
+        if tag is not None and tag != '!':  # which some libraries write before each quoted text
+            msg = f'line {line}: tags ({shown(tag)}) are not taken: write the plain value'
             raise refusal(msg)
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
