@@ -214,7 +214,7 @@ def parse_yaml(text: str, source: str, reason: Reason, *, max_scalar: int = MAX_
 def _check_events(text: str, refusal: Callable[[str], InputError], max_scalar: int) -> None:
     """Refuse what grows or nests without bound before anything is built from it.
 
-    Tags go the same way: on `!!int ""` and `!!bool x`, PyYAML ends in an IndexError and a KeyError.
+    Tags go the same way: PyYAML ends in an IndexError on `!!int ""`, in others on other ones.
     """
     depth = 0
     for n, event in enumerate(yaml.parse(text, _Loader)):
