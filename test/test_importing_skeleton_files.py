@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -241,6 +242,49 @@ def test_c3d_with_a_timecode_or_two_rates_says_so(tmp_path: Path) -> None:
     assert 'has a TIMECODE section' in found.notes[0]
     assert '--mocap-timecode' in found.notes[0]
     assert 'the header says 25 Hz, POINT:RATE 50 Hz, which is taken: give' in found.notes[1]
+
+
+@pytest.mark.parametrize('share', [0.2, 0.5, 0.9])
+def test_c3d_that_ends_early_is_refused(tmp_path: Path, share: float) -> None:
+    """The library gives what is left of it, as if that were all."""
+    path = tmp_path / 'a.c3d'
+    write_c3d(path, JOINTS, body(100))
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(
+        InputError, match=r'a\.c3d: \d+ frames, but the header promises 100 \(1 to'
+    ):
+        read_skeleton(path)
+
+
+def test_c3d_whose_header_cannot_count_its_frames_is_read(tmp_path: Path) -> None:
+    """The header has 16 bits for them, the parameters have more."""
+    path = tmp_path / 'a.c3d'
+    write_c3d(path, JOINTS, body(4))
+    data = path.read_bytes()
+    path.write_bytes(data[:8] + struct.pack('<H', 65535) + data[10:])
+    assert len(read_skeleton(path).time_s) == 4
+
+
+def test_c3d_label_in_latin_1_is_read(tmp_path: Path) -> None:
+    """With a mark for the letter, as in text files."""
+    path = tmp_path / 'a.c3d'
+    write_c3d(path, ('LHipJ1', *JOINTS[1:]), body(4))
+    path.write_bytes(path.read_bytes().replace(b'LHipJ1', b'LHipJ\xf6'))
+    assert read_skeleton(path).joints[0] == 'LHipJ\ufffd'
+
+
+@pytest.mark.parametrize('limit', ['-v 5000000', '-t 5'])
+def test_c3d_is_read_where_less_is_allowed_than_a_file_may_take(
+    tmp_path: Path, limit: str
+) -> None:
+    """Nobody may raise a hard limit; that of a cluster or container stays."""
+    path = tmp_path / 'a.c3d'
+    write_c3d(path, JOINTS, body(4))
+    child = f'ulimit {limit}; exec "{sys.executable}" -P "{c3d.CHILD}" "{path}" 10'
+    done = subprocess.run(['/bin/sh', '-c', child], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(b'{"RATE": [')
 
 
 @pytest.mark.parametrize(

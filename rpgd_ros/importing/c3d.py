@@ -23,6 +23,8 @@ from rpgd_ros.importing.text import read_bytes, refuse, shown
 FORMAT: Final = 'C3D'
 UNITS: Final = {'m': 'm', 'mm': 'mm', 'cm': 'cm', 'in': 'inch', 'inch': 'inch'}
 INTEL: Final = bytes([84])  # processor type; the others write numbers in other ways
+SGI: Final = bytes([86])  # whose integers begin with the high byte
+NO_LAST: Final = 2**16 - 1  # of the header, also where the last frame has a larger number
 MAGIC: Final = 0x50  # second byte of each C3D file
 CHILD: Final = Path(__file__).with_name('c3d_child.py')
 # The start of Python on a busy machine, and ten times what a megabyte takes.
@@ -58,6 +60,7 @@ def read_c3d(path: Path) -> SkeletonFile:
     keep = [j for j, label in enumerate(labels) if label and not label.startswith('*')]
     keep = [j for j in keep if labels[j].rpartition(':')[2] not in outputs]
     values = points[:, keep].transpose(2, 1, 0)
+    _check_whole(path, data, len(values))
     up = _text(parameters, 'Y_SCREEN').lstrip('+-').lower()
     return SkeletonFile(
         path,
@@ -71,11 +74,26 @@ def read_c3d(path: Path) -> SkeletonFile:
     )
 
 
+def _check_whole(path: Path, data: bytes, n_frames: int) -> None:
+    """Refuse a file that ends early, of which ezc3d gives the frames that are left."""
+    order = '>' if _processor(data) == SGI else '<'
+    first, last = struct.unpack(f'{order}HH', data[6:10])
+    if n_frames < last - first + 1 and last != NO_LAST:
+        msg = (
+            f'{n_frames} frames, but the header promises {last - first + 1} ({first} to {last}): '
+            'the file is cut off, copy or export it again'
+        )
+        refuse(path, None, msg)
+
+
+def _processor(data: bytes) -> bytes:
+    return data[512 * (data[0] - 1) + 3 :][:1]
+
+
 def _notes(data: bytes, rate: float, parameters: Parameters) -> tuple[str, ...]:
     notes = [TIMECODE_NOTE] if parameters['TIMECODE'] else []
     # ezc3d takes the rate of the parameters for that of the header.
-    processor = data[512 * (data[0] - 1) + 3 :][:1]
-    (stated,) = struct.unpack('<f', data[20:24]) if processor == INTEL else (rate,)
+    (stated,) = struct.unpack('<f', data[20:24]) if _processor(data) == INTEL else (rate,)
     if not abs(stated / rate - 1.0) <= SAME_RATE:
         notes.append(
             f'the header says {stated:.4g} Hz, POINT:RATE {rate:g} Hz, which is taken: give the '

@@ -25,11 +25,18 @@ MAX_MEMORY = 2**33  # bytes; a file of 33 MiB (60 markers, 36 000 frames) takes 
 def main() -> None:
     """Read a file within some seconds, as the command line says, and write it to its output."""
     seconds = int(sys.argv[2])
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))  # also where the parent is gone
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+    _limit(resource.RLIMIT_CPU, seconds)  # also where the parent is gone
+    _limit(resource.RLIMIT_AS, MAX_MEMORY)
     with os.fdopen(os.dup(1), 'wb') as output:
         os.dup2(2, 1)  # what the library prints is no data
         _read(sys.argv[1], output)
+
+
+def _limit(kind: int, most: int) -> None:
+    """Limit this process, which may have a lower limit already that nobody may raise."""
+    hard = resource.getrlimit(kind)[1]
+    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    resource.setrlimit(kind, (most, most))
 
 
 def _read(path: str, output: BinaryIO) -> None:
@@ -54,7 +61,12 @@ def _values(parameters: Any, key: str) -> list[Any]:
     if key not in parameters:
         return []
     values = np.asarray(parameters[key]['value']).ravel().tolist()
-    return [v if isinstance(v, str) else float(v) for v in values]
+    return [_utf8(v) if isinstance(v, str) else float(v) for v in values]
+
+
+def _utf8(text: str) -> str:
+    """Return a text in which what is no UTF-8 (names of people) is replaced."""
+    return text.encode(errors='surrogateescape').decode(errors='replace')
 
 
 if __name__ == '__main__':
