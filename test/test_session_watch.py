@@ -205,6 +205,45 @@ def test_kept_level_finds_a_bump_as_well() -> None:
     assert watch.raised == ('cam3',)
 
 
+def test_named_camera_that_a_calibration_did_not_see_is_judged_by_its_old_level() -> None:
+    """It stays named while it is off, beside another one, and no longer once it is put back."""
+    recording = walk(0, seconds=46.0)
+    reel, pose = Reel(recording), recording.truth.world_T_mocap
+    for number in (0, 2):
+        reel.bump(number, 0.5 * TURN, at_s=12.0)
+        reel.bump(number, -0.5 * TURN, at_s=28.0)
+    watch = watched(reel, pose)
+    known = levels(reel.sights(0.0, ACCEPTED_S), pose)
+    for _, pairs in reel.ticks(ACCEPTED_S, 20.0):
+        watch.add(pairs)
+    assert watch.raised == ('cam0', 'cam2')
+    del known['cam2']
+    watch.accept(pose, known, is_automatic=True)
+    for _, pairs in reel.ticks(20.0, 26.0):
+        watch.add(pairs)
+    assert watch.raised == ('cam0', 'cam2')
+    first, second = watch.complaint().split('; ')
+    assert first.startswith('camera cam0 is off by')
+    assert second.startswith('camera cam2 is off by')
+    assert watch.states()['cam2'].is_raised
+    for _, pairs in reel.ticks(26.0, 46.0):
+        watch.add(pairs)
+    assert not watch.raised
+    assert watch.complaint() == ''
+
+
+def test_camera_that_a_calibration_did_not_see_is_named_when_it_is_moved_later() -> None:
+    """Nobody was there to see it: that is no reason to let it go."""
+    recording = walk(0, seconds=30.0)
+    reel, pose = Reel(recording), recording.truth.world_T_mocap
+    reel.bump(2, 0.5 * TURN, at_s=BUMP_S)
+    watch = watched(reel, pose)
+    known = levels(reel.sights(0.0, ACCEPTED_S), pose)
+    del known['cam2']
+    watch.accept(pose, known, is_automatic=True)
+    assert list(named_after(reel, watch, 30.0)) == ['cam2']
+
+
 def later(pairs: list[Pairs], seconds: float) -> list[Pairs]:
     """Return the same frames at a later time."""
     by_ns = round(seconds * 1e9)

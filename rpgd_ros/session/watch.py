@@ -113,18 +113,20 @@ class Watch:
             pose: world_T_mocap.
             levels: How the cameras fit it; cameras without a level are not judged.
             is_automatic: Whether nobody has looked at it. Then a level may creep up a little
-                only, so that a drift is not followed step by step until nobody sees it.
+                only, so that a drift is not followed step by step until nobody sees it, and a
+                camera without a level keeps the one it had, so that what was named is neither
+                forgotten nor named for ever.
 
         """
         if not is_automatic or self._pose is None:
-            self._anchors = dict(levels)
+            self._anchors, self._levels = dict(levels), {}
             self._tracks.clear()
         for name, level in levels.items():
             anchor = self._anchors.setdefault(name, level)
             if anchor.is_kept and level.follows(anchor):
                 self._anchors[name] = level  # which tells more than a file does
+            self._levels[name] = capped(level, self._anchors[name])
         self._pose = pose
-        self._levels = {name: capped(level, self._anchors[name]) for name, level in levels.items()}
 
     def add(self, pairs: Sequence[Pairs]) -> None:
         """Take what came since the last time, and judge."""
