@@ -17,7 +17,6 @@ from rpgd_ros.apps.bag_job import Job, Written, make_folder
 from rpgd_ros.apps.bag_overlay import write_overlay
 from rpgd_ros.apps.bag_run import BagRun, tell
 from rpgd_ros.apps.progress import one_bar
-from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.datasets.labels import write_labels
 from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.io.camera_files import toml_text
@@ -27,35 +26,10 @@ from rpgd_ros.report import (
     Case,
     Photo,
     Step,
-    check_libraries,
     choose_instants,
     settle,
     write_report,
 )
-
-RIG_SUFFIXES = ('.yaml', '.yml', '.toml')
-
-
-def check_outputs(arguments: argparse.Namespace) -> None:
-    """Refuse, before the work, what could not be written after it.
-
-    Raises:
-        InputError: NOT_WRITABLE, or a library is missing.
-
-    """
-    paths = tuple(getattr(arguments, name) for name in OUTPUTS)
-    for path in filter(None, paths):
-        if not path.absolute().parent.is_dir():
-            msg = f'{path.parent} is no folder: create it first'
-            raise InputError(Reason.NOT_WRITABLE, msg)
-    if arguments.write_rig and arguments.write_rig.suffix not in RIG_SUFFIXES:
-        msg = f'{arguments.write_rig}: need a name that ends in {", ".join(RIG_SUFFIXES)}'
-        raise InputError(Reason.NOT_WRITABLE, msg)
-    if arguments.annotated and arguments.annotated.exists():
-        msg = f'{arguments.annotated} exists already: remove it, or choose another place'
-        raise InputError(Reason.NOT_WRITABLE, msg)
-    if arguments.report:
-        check_libraries()
 
 
 def write_outputs(

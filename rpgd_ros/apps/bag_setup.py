@@ -15,13 +15,33 @@ from rpgd_ros.ros.setup import config_of, overridden
 from rpgd_ros.session import SessionConfig
 
 
+def rig_file_of(rig_file: Path | None, params: Path | None) -> Path:
+    """Return the rig file that is to be read.
+
+    Args:
+        rig_file: Goes before `rig_file` of the parameters.
+        params: Parameter file of the node; None = there is none.
+
+    Raises:
+        InputError: Nobody names one, or the parameter file cannot be used.
+
+    """
+    if rig_file is not None:
+        return rig_file
+    named = read_parameters(params).get('rig_file') if params is not None else None
+    if isinstance(named, str) and named:
+        return Path(named).expanduser()
+    msg = 'no rig file: give --rig RIG.yaml, or rig_file in the parameter file'
+    raise InputError(Reason.BAD_PARAMETER, msg)
+
+
 def read_setup(
-    rig_file: Path | None, params: Path | None, cameras: Sequence[str]
+    rig_file: Path, params: Path | None, cameras: Sequence[str]
 ) -> tuple[Rig, SessionConfig]:
     """Read the rig and the settings, as the node does.
 
     Args:
-        rig_file: Goes before `rig_file` of the parameters.
+        rig_file: The rig.
         params: Parameter file of the node; None = the defaults.
         cameras: Go before `cameras` of the parameters; empty = those.
 
@@ -34,12 +54,6 @@ def read_setup(
     """
     given = {} if params is None else read_parameters(params)
     check_names(given, cameras=None)
-    named = given.get('rig_file')
-    if rig_file is None and isinstance(named, str) and named:
-        rig_file = Path(named).expanduser()
-    if rig_file is None:
-        msg = 'no rig file: give --rig RIG.yaml, or rig_file in the parameter file'
-        raise InputError(Reason.BAD_PARAMETER, msg)
     rig = read_rig(rig_file)
     if params is None:
         return chosen(rig, cameras), SessionConfig()

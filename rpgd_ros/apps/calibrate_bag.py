@@ -20,9 +20,10 @@ from rpgd_ros.apps.bag_check import (
 )
 from rpgd_ros.apps.bag_job import Written
 from rpgd_ros.apps.bag_json import bag_json
-from rpgd_ros.apps.bag_outputs import check_outputs, tell_written, write_outputs
+from rpgd_ros.apps.bag_outputs import tell_written, write_outputs
+from rpgd_ros.apps.bag_places import check_outputs
 from rpgd_ros.apps.bag_run import BagRun, read_bag, solve_bag
-from rpgd_ros.apps.bag_setup import read_setup
+from rpgd_ros.apps.bag_setup import read_setup, rig_file_of
 from rpgd_ros.apps.progress import one_bar
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.apps.tables import print_calibration, print_streams
@@ -141,8 +142,9 @@ def _parser() -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event) -> int:
     if arguments.check:
         return _check(arguments, out, err, stop)
-    check_outputs(arguments)
-    rig, settings = read_setup(arguments.rig, arguments.params, arguments.cameras)
+    rig_file = rig_file_of(arguments.rig, arguments.params)
+    check_outputs(arguments, rig_file)
+    rig, settings = read_setup(rig_file, arguments.params, arguments.cameras)
     run = read_bag(arguments.bag, rig, err, stop, settings)
     if not arguments.json:
         print_streams(out, run.streams)
@@ -165,7 +167,8 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
 
 def _check(arguments: argparse.Namespace, out: Console, err: Console, stop: Event) -> int:
     check_arguments(arguments)
-    rig, settings = read_setup(arguments.rig, arguments.params, arguments.cameras)
+    rig_file = rig_file_of(arguments.rig, arguments.params)
+    rig, settings = read_setup(rig_file, arguments.params, arguments.cameras)
     stored = read_accepted(arguments, rig.world_frame)
     run = read_bag(arguments.bag, rig, err, stop, settings)
     if not arguments.json:

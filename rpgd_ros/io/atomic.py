@@ -46,9 +46,7 @@ def staged(path: Path | str, data: str | bytes, mode: int = 0o644) -> Iterator[C
 
     """
     path = Path(path)
-    if path.is_symlink():
-        msg = f'{path} is a symbolic link: give the file itself'
-        raise InputError(Reason.NOT_WRITABLE, msg)
+    refuse_link(path)
     with _said(path, 'written'):
         temporary = _temporary(path, data.encode() if isinstance(data, str) else data, mode)
 
@@ -64,6 +62,20 @@ def staged(path: Path | str, data: str | bytes, mode: int = 0o644) -> Iterator[C
             temporary.unlink()
 
 
+def refuse_link(path: Path) -> None:
+    """Refuse to write a file in the place of a symbolic link.
+
+    Raises:
+        InputError: NOT_WRITABLE. It is one, or the operating system does not let look.
+
+    """
+    with _said(path, 'written'):
+        is_link = path.is_symlink()
+    if is_link:
+        msg = f'{path} is a symbolic link: give the file itself'
+        raise InputError(Reason.NOT_WRITABLE, msg)
+
+
 @contextmanager
 def set_aside(path: Path | str) -> Iterator[None]:
     """Take a file, if there is one, out of its place; it goes, or comes back on an exception.
@@ -74,7 +86,9 @@ def set_aside(path: Path | str) -> Iterator[None]:
     """
     path = Path(path)
     aside = path.with_name(f'.{path.name}.{os.getpid()}.aside{SUFFIX}')
-    if path.exists() and not path.is_file():
+    with _said(path, 'removed'):
+        is_file = path.is_file() or not path.exists()
+    if not is_file:
         msg = f'{path} cannot be removed: it is no file'
         raise InputError(Reason.NOT_WRITABLE, msg)
     with _said(path, 'removed'):

@@ -20,7 +20,7 @@ from rpgd_ros.core.camera_pose import CameraPose
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array, RigidTransform, euler_zyx_from_rotation
 from rpgd_ros.core.result import Calibration, GroupFit
-from rpgd_ros.io.atomic import write_atomic
+from rpgd_ros.io.atomic import refuse_link, write_atomic
 from rpgd_ros.io.backups import back_up, backups, utc
 from rpgd_ros.io.camera_poses import (
     poses_tree,
@@ -141,8 +141,8 @@ def write_result(
 
 def write_result_text(path: Path, text: str) -> None:
     """Write the text of a result file; arguments, backup and errors as for `write_result`."""
-    if not path.is_symlink():
-        back_up(path)
+    refuse_link(path)
+    back_up(path)
     write_atomic(path, text)
 
 
