@@ -31,6 +31,7 @@ SPEAKERS = {
     'session/camera_facts.py': ('problems', '_unplaced'),
     'ros/health.py': ('_input_status',),
     'ros/inputs.py': ('_problem', '_on_incompatible'),
+    'ros/intake.py': ('_problem',),
     'ros/message_classes.py': ('not_installed',),
     'io/recording.py': ('__post_init__',),
     'importing/skeleton.py': ('settle',),

@@ -216,6 +216,8 @@ def test_sentence_tells_what_to_do_next(calibration: Calibration) -> None:
     assert told([FINE], accepted, age_s=5.0).startswith('Calibrated 5 s ago: ')
     bumped = told([FINE], accepted, age_s=5.0, complaint='camera cam2 is off by 9.0 px')
     assert bumped.startswith('Attention: camera cam2 is off by 9.0 px.')
+    paused = told([silent], accepted, age_s=5.0, is_collecting=False)
+    assert paused.startswith('Not collecting: call ~/set_enabled to go on. The transform of 5 s')
     beside_a_run = told([FINE], accepted, running='start 40%', complaint='camera cam2 is off')
     assert beside_a_run.startswith('Attention: ')
 

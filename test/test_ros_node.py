@@ -138,6 +138,8 @@ def test_pause_stops_collecting(walk: Scene, rig: Path) -> None:
         assert paused is not None
         node.wait_until('not paused', paused.done)
         node.send(walk.messages)
+        node.wait_until('not told', lambda: 'Not collecting: call' in node.sentence())
+        node.wait_until('not told', lambda: 'not collecting' in node.peer.message('mocap'))
         assert node.calibrate()[1]['reason'] == 'no_data'
 
 

@@ -13,6 +13,7 @@ from rpgd_ros.core.result import Calibration
 from rpgd_ros.messages import NO_HEADER
 from rpgd_ros.pairing import PairCounts
 from rpgd_ros.ros.inputs import Health
+from rpgd_ros.ros.intake import NOT_COLLECTING
 from rpgd_ros.ros.job import Outcome, figures
 from rpgd_ros.session import MOCAP, Session
 from rpgd_ros.session.guidance import Guidance
@@ -60,7 +61,11 @@ def status(
 
 
 def input_statuses(
-    session: Session, inputs: Mapping[str, Health], monitor: Monitor
+    session: Session,
+    inputs: Mapping[str, Health],
+    monitor: Monitor,
+    *,
+    is_collecting: bool = True,
 ) -> list[DiagnosticStatus]:
     """Return the entries of the MoCap system and of every camera.
 
@@ -68,6 +73,7 @@ def input_statuses(
         session: Where the messages went.
         inputs: State of each subscription by stream.
         monitor: What the cameras have seen, and how they fit the published pose.
+        is_collecting: Whether messages are stored.
 
     """
     pairs = session.pair_counts()
@@ -80,6 +86,7 @@ def input_statuses(
             pairs.get(name),
             {} if name == MOCAP else _camera_figures(name, monitor, states.get(name)),
             states[name].complaint if name in states else '',
+            is_collecting=is_collecting,
         )
         for name, health in inputs.items()
     ]
@@ -101,6 +108,8 @@ def _input_status(
     pairs: PairCounts | None,
     figures_of_camera: Mapping[str, object],
     complaint: str,
+    *,
+    is_collecting: bool,
 ) -> DiagnosticStatus:
     values: dict[str, object] = {
         'received': health.n_received,
@@ -113,12 +122,10 @@ def _input_status(
     if pairs is not None:
         values |= {'pairs': pairs.paired, 'no_match': pairs.no_match}
     values |= figures_of_camera
-    level, message = OK, 'receiving'
+    level, message = OK, 'receiving' if is_collecting else NOT_COLLECTING
     if health.problem:
         # What nobody sends may still come; what cannot be read will not get better by waiting.
         level, message = (ERROR if health.is_hopeless else WARN), health.problem
-    elif health.n_received and not counts['kept']:
-        level, message = WARN, 'messages arrive, but none could be used'
     elif complaint:
         level, message = WARN, complaint
     elif counts.get(NO_HEADER):
@@ -185,6 +192,7 @@ def sentence(
     guidance: Guidance,
     complaint: str,
     age_s: float,
+    is_collecting: bool = True,
 ) -> str:
     """Say to the person in the room what is missing and what to do.
 
@@ -196,14 +204,18 @@ def sentence(
         guidance: How far the recording is.
         complaint: On cameras that no longer fit the published pose, '' = none.
         age_s: Time since the published pose was found, NaN where none is published.
+        is_collecting: Whether messages are stored.
 
     """
+    paused = '' if is_collecting else f' {NOT_COLLECTING.capitalize()}.'
     published = '' if math.isnan(age_s) else f' The transform of {age_s:.0f} s ago is published.'
     problems = [health.problem for health in inputs if health.problem]
     if complaint:  # stays while automatic runs come and go
-        return f'Attention: {complaint}.{published}'
+        return f'Attention: {complaint}.{published}{paused}'
     if running:
-        return f'Calibrating: {running}.'
+        return f'Calibrating: {running}.{paused}'
+    if paused:
+        return f'{paused.lstrip()}{published}'
     if last is not None and last.is_accepted and accepted is not None:
         return f'Calibrated {age_s:.0f} s ago: {in_short(accepted)}.'
     if problems:

@@ -7,6 +7,7 @@ the solve and the writing of files run in one worker thread, on a snapshot of da
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,6 +29,7 @@ from rpgd_ros.ros.camera_inputs import CameraInputs
 from rpgd_ros.ros.declare import LiveParameters, declare, given_values
 from rpgd_ros.ros.engine import Engine
 from rpgd_ros.ros.inputs import LOG_SECONDS, JointInput, health_by_stream
+from rpgd_ros.ros.intake import Intake
 from rpgd_ros.ros.job import answer
 from rpgd_ros.ros.overlays import Overlays
 from rpgd_ros.ros.replies import Replies
@@ -72,6 +74,7 @@ class CalibratorNode(Node):
         results = Results(self, output, rig.world_frame, config.node.result_file)
         results.report = report
         session = Session(rig, config.session())
+        self._intake = Intake(session)
         self._monitor = Monitor(session, max_age_s=config.buffer.max_age_s)
         self._engine = Engine(self, session, results, monitor=self._monitor, flush=self._flush)
         stored = results.load_at_start() if config.node.load_on_start else None
@@ -210,14 +213,18 @@ class CalibratorNode(Node):
         session.add(stream, msg_type, payloads, receive_ns)
         if session.n_epochs != n_epochs:
             message = f'the clock of {stream} jumped back: all streams start over'
-            Node.get_logger(self).warning(message)
+            Node.get_logger(self).warning(message, throttle_duration_sec=LOG_SECONDS)
 
     async def _on_auto(self) -> None:
-        n_received = sum(joints.n_received for joints in self._joints)
         config = self._live.config
-        if not config.auto.enabled or n_received == self._n_at_last_run or self.is_busy:
+        if not config.auto.enabled or not self._is_enabled or self.is_busy:
             return
-        self._n_at_last_run = n_received
+        self._flush()
+        # Stored, not received: of dropped messages a run would calibrate the same data again.
+        n_stored = self._intake.n_stored()
+        if n_stored == self._n_at_last_run:
+            return
+        self._n_at_last_run = n_stored
         if self._engine.session.motion_m() >= config.buffer.min_motion:
             await self._engine.calibrate(is_automatic=True)
 
@@ -240,7 +247,11 @@ class CalibratorNode(Node):
     def _on_diagnostics(self) -> None:
         self._flush()
         engine = self._engine
-        inputs = health_by_stream(self._joints)
+        inputs = self._intake.judged(
+            health_by_stream(self._joints),
+            is_collecting=self._is_enabled,
+            now_s=time.monotonic(),
+        )
         age_s = engine.results.age_s
         config = self._live.config
         guidance = self._monitor.guidance(config.accept, config.buffer.min_motion)
@@ -254,7 +265,9 @@ class CalibratorNode(Node):
                 guidance=guidance,
                 complaint=complaint,
             ),
-            *health.input_statuses(engine.session, inputs, self._monitor),
+            *health.input_statuses(
+                engine.session, inputs, self._monitor, is_collecting=self._is_enabled
+            ),
         ]
         array = DiagnosticArray(status=health.sign(statuses, self.get_namespace()))
         array.header.stamp = self.get_clock().now().to_msg()
@@ -267,6 +280,7 @@ class CalibratorNode(Node):
             guidance=guidance,
             complaint=complaint,
             age_s=age_s,
+            is_collecting=self._is_enabled,
         )
         self._overlays.advice = sentence
         self._status.publish(String(data=sentence))
