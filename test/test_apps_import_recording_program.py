@@ -202,7 +202,7 @@ def test_unforeseen_error_is_reported_as_one(
         ({'camera_start': 100}, 'they never meet. Give --camera-start cam0=SECONDS'),
         ({'camera_fps': ['cam0=50']}, 'camera cam1 has no frame rate: give --camera-fps cam1=HZ'),
         ({'camera_fps': ['cam7=50']}, "no camera 'cam7' in the calibration"),
-        ({'camera_fps': ['fast']}, "--camera-fps needs a number up to 2000, got 'fast'"),
+        ({'camera_fps': ['fast']}, "--camera-fps needs a number from 1 to 2000, got 'fast'"),
         ({'camera_fps': [0]}, '--camera-fps needs a number'),
         (
             {'camera_timecode': '10:00:00:00'},

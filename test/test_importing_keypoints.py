@@ -198,6 +198,11 @@ def test_folder_that_is_no_video_is_refused(tmp_path: Path) -> None:
         write(folder / 'b_1.json', {'people': []})
         with pytest.raises(InputError, match=message):
             read_keypoints(folder)
+    write(tmp_path / 'd' / '20240101120000.json', {'people': []})
+    with pytest.raises(
+        InputError, match=r'000\.json: need a frame number up to 1000000000 in its'
+    ):
+        read_keypoints(tmp_path / 'd')
     items = [{'image_id': i, 'keypoints': PERSON} for i in (1, 2)]
     write(tmp_path / 'c' / '1.json', items)
     with pytest.raises(InputError, match='holds a whole video: give the file'):

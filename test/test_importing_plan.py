@@ -124,6 +124,21 @@ def test_recordings_that_never_meet_are_refused() -> None:
         plan(np.arange(500), start_s=20.0)
 
 
+@pytest.mark.parametrize('last', [10**9, 5_000_000])
+def test_frame_number_that_makes_a_recording_last_for_days_is_refused(last: int) -> None:
+    """Of the identifiers of images, some are hashes; nothing is sampled along such a time."""
+    frames = np.array([*range(499), last])
+    with pytest.raises(InputError, match=rf'video.json: frames 0 to {last} last \S+ s at 50 Hz'):
+        plan(frames, start_s=0.0)
+
+
+@pytest.mark.parametrize('fps', [0.0, 1e-320, 1e-3, 3000.0, float('nan')])
+def test_rate_that_no_camera_has_is_refused(fps: float) -> None:
+    """The bounds are in the message."""
+    with pytest.raises(InputError, match='is no frame rate, need 1 to 2000 Hz'):
+        plan(np.arange(500), fps)
+
+
 def test_names_of_the_files_need_no_option() -> None:
     """And an option goes before them."""
     detections = make_detections(np.arange(500), joints=KEYPOINTS)

@@ -137,6 +137,11 @@ def test_zeros_are_missing_and_joints_without_data_are_said() -> None:
         ({'joints': (*JOINTS[:5], 'LHipJC')}, "joint 'LHipJC' comes twice"),
         ({'joints': ()}, '0 joints, need 1 to 256'),
         ({'time_s': np.zeros(1)}, '1 frames, need at least 2'),
+        (
+            {'time_s': np.array([*range(9), 1e5])},
+            'time 100000 s is more than a day .86400 s. after',
+        ),
+        ({'time_s': np.array([-1e308, *range(8), 1e308])}, 'time 0 s is more than a day'),
         ({'values': np.full((10, 6, 3), np.nan)}, 'holds no position at all'),
     ],
 )
@@ -144,6 +149,13 @@ def test_file_without_a_usable_skeleton_is_refused(changes: dict[str, Any], mess
     """Before anything is made of it."""
     with pytest.raises(InputError, match=message):
         settle(make_file(**changes))
+
+
+def test_rate_that_makes_a_recording_last_for_days_is_refused() -> None:
+    """The option may be as wrong as the file."""
+    time_s = np.array([*range(9), 80_000.0]) / 50.0
+    with pytest.raises(InputError, match=r'walk.trc: time \S+ s is more than a day'):
+        settle(make_file(time_s=50.0 * time_s, frame_fps=50.0), fps=1.0)
 
 
 def test_standing_axis_is_unknown_for_unknown_names() -> None:

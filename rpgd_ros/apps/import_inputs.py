@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.errors import InputError, Reason
-from rpgd_ros.importing import MAX_FPS, camera_paths, keypoint_joints
+from rpgd_ros.importing import MAX_FPS, MIN_FPS, camera_paths, keypoint_joints
 from rpgd_ros.io.camera_files import read_cameras
 from rpgd_ros.io.rig_types import Units
 from rpgd_ros.skeletons import hint
@@ -69,7 +69,7 @@ def parse_inputs(arguments: argparse.Namespace) -> Inputs:
     cameras, formats = _cameras(arguments.cameras, arguments.camera_units)
     names = [camera.name for camera in cameras]
     paths = _paths(arguments.keypoints, names)
-    fps = _numbers(arguments.camera_fps, '--camera-fps', [*paths], (0.0, MAX_FPS))
+    fps = _numbers(arguments.camera_fps, '--camera-fps', [*paths], (MIN_FPS, MAX_FPS))
     start_s = _numbers(
         arguments.camera_start, '--camera-start', [*paths], (-MAX_START_S, MAX_START_S)
     )
@@ -77,8 +77,8 @@ def parse_inputs(arguments: argparse.Namespace) -> Inputs:
     if without:
         msg = f'camera {without[0]} has no frame rate: give --camera-fps {without[0]}=HZ'
         raise InputError(Reason.BAD_INPUT, msg)
-    if arguments.mocap_fps is not None and not 0.0 < arguments.mocap_fps <= MAX_FPS:
-        msg = f'--mocap-fps must be 1 to {MAX_FPS:g}, got {arguments.mocap_fps:g}'
+    if arguments.mocap_fps is not None and not MIN_FPS <= arguments.mocap_fps <= MAX_FPS:
+        msg = f'--mocap-fps must be {MIN_FPS:g} to {MAX_FPS:g}, got {arguments.mocap_fps:g}'
         raise InputError(Reason.BAD_INPUT, msg)
     joints = keypoint_joints(arguments.keypoint_joints) if arguments.keypoint_joints else None
     timecodes = _by_camera(arguments.camera_timecode, '--camera-timecode', [*paths])
@@ -153,8 +153,10 @@ def _numbers(
             number = float(value)
         except ValueError:
             number = math.nan
-        if not bounds[0] <= number <= bounds[1] or (option == '--camera-fps' and number == 0.0):
-            msg = f'{option} needs a number up to {bounds[1]:g}, got {value[:80]!r}'
+        if not bounds[0] <= number <= bounds[1]:
+            msg = (
+                f'{option} needs a number from {bounds[0]:g} to {bounds[1]:g}, got {value[:80]!r}'
+            )
             raise InputError(Reason.BAD_INPUT, msg)
         found[name] = number
     return found

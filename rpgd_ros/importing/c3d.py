@@ -17,7 +17,7 @@ import numpy as np
 
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.importing.skeleton import AXES, MAX_FPS, SAME_RATE, Axis, SkeletonFile
+from rpgd_ros.importing.skeleton import AXES, MAX_FPS, MIN_FPS, SAME_RATE, Axis, SkeletonFile
 from rpgd_ros.importing.text import read_bytes, refuse, shown
 
 FORMAT: Final = 'C3D'
@@ -135,8 +135,12 @@ def _axis(text: str) -> Axis | None:
 def _rate(path: Path, parameters: Parameters) -> float:
     values = parameters['RATE']
     rate = float(values[0]) if values else 0.0
-    if not 0.0 < rate <= MAX_FPS:
-        refuse(path, None, f'POINT:RATE is {rate:g} Hz, need 1 to {MAX_FPS:g}: export it again')
+    if not MIN_FPS <= rate <= MAX_FPS:
+        refuse(
+            path,
+            None,
+            f'POINT:RATE is {rate:g} Hz, need {MIN_FPS:g} to {MAX_FPS:g}: export it again',
+        )
     return rate
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array, IntArray
-from rpgd_ros.importing.people import Document, chosen, frame_number, read_document
+from rpgd_ros.importing.people import MAX_FRAME, Document, chosen, frame_number, read_document
 from rpgd_ros.importing.text import refuse, shown
 from rpgd_ros.io.camera_files import camera_name
 
@@ -115,6 +115,8 @@ def frame_files(folder: Path) -> dict[int, Path]:
         number = frame_number(path.name)
         if number is None:
             refuse(path, None, 'no frame number in its name: need such as video_000001.json')
+        if number > MAX_FRAME:
+            refuse(path, None, f'need a frame number up to {MAX_FRAME} in its name, got {number}')
         if number in files:
             msg = f'also ends in frame number {number}, as {files[number].name} does: one video '
             refuse(path, None, f'{msg}per folder')

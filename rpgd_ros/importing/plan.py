@@ -13,9 +13,9 @@ from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.importing.keypoints import Detections
-from rpgd_ros.importing.skeleton import MAX_FPS, SAME_RATE, Skeleton
+from rpgd_ros.importing.skeleton import MAX_FPS, MIN_FPS, SAME_RATE, Skeleton
 from rpgd_ros.importing.tempo import better_rate
-from rpgd_ros.importing.text import refuse
+from rpgd_ros.importing.text import LONGEST_S, refuse
 from rpgd_ros.io.rig_types import KeypointUnits
 from rpgd_ros.skeletons import CONVENTIONS, joint_names, match_joints
 
@@ -133,8 +133,8 @@ def plan_camera(
 
     """
     path = detections.path
-    if not 0.0 < fps <= MAX_FPS:
-        msg = f'camera {camera.name}: {fps:g} is no frame rate, need 1 to {MAX_FPS:g} Hz'
+    if not MIN_FPS <= fps <= MAX_FPS:
+        msg = f'camera {camera.name}: {fps:g} is no frame rate, need {MIN_FPS:g} to {MAX_FPS:g} Hz'
         raise InputError(Reason.BAD_INPUT, msg)
     names = _names(detections, joints)
     try:
@@ -143,6 +143,7 @@ def plan_camera(
         source = skeleton.source
         msg = f'{source.at(source.joints_line)}, {path}: {error.message}'
         raise InputError(error.reason, f'{msg} (--joint-map KEYPOINT=JOINT)') from None
+    _check_length(detections, fps)
     first, doubts = _first_frame(camera.name, detections, first_frame)
     time_s = (start_s or 0.0) + (detections.frames - first) / fps
     begin, end = float(skeleton.time_s[0]), float(skeleton.time_s[-1])
@@ -183,6 +184,17 @@ def _first_frame(
         f'{name}=1'
     )
     return first, (warning,)
+
+
+def _check_length(detections: Detections, fps: float) -> None:
+    """Refuse frame numbers that are dates or damaged."""
+    first, last = detections.first, int(detections.frames[-1])
+    if (last - first) / fps > LONGEST_S:
+        msg = (
+            f'frames {first} to {last} last {(last - first) / fps:g} s at {fps:g} Hz, more than a '
+            f'day ({LONGEST_S:g} s): correct the numbers, or split the recording'
+        )
+        refuse(detections.path, None, msg)
 
 
 def _names(detections: Detections, joints: tuple[str, ...] | None) -> tuple[str, ...]:

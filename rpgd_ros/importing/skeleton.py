@@ -11,7 +11,7 @@ import numpy as np
 
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.importing.text import refuse
+from rpgd_ros.importing.text import LONGEST_S, check_span, refuse
 from rpgd_ros.importing.timecode import Timecode
 from rpgd_ros.io.rig import METRES_PER
 from rpgd_ros.skeletons import MAX_JOINTS, landmarks
@@ -26,8 +26,7 @@ SMALL_BODY_M, LARGE_BODY_M = 0.5, 2.5
 TYPICAL_BODY_M: Final = 1.5
 BODY_FRAMES: Final = 200  # looked at for size and axes
 SAME_RATE: Final = 0.01  # the ends of 0.1 s of times with three decimals
-LONGEST_S: Final = 86_400.0  # of a recording; later times are dates, such as those of Unix
-MAX_FPS: Final = 2000.0  # the fastest systems give 1000
+MIN_FPS, MAX_FPS = 1.0, 2000.0  # the fastest systems give 1000
 # The axis that becomes z, after the two that become x and y.
 _TURNS: Final[dict[str, Array]] = {
     'x': np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
@@ -165,6 +164,7 @@ def settle(
 
     """
     _check_shape(file)
+    check_span(file.path, file.time_s)
     warnings = list(file.notes)
     is_zero = (file.values == 0.0).all(-1)
     values = np.where(is_zero[..., None], np.nan, file.values)
@@ -190,6 +190,7 @@ def settle(
     if absent:
         warnings.append(f'never seen: {", ".join(absent[:20])}')
     time_s = _times(file, fps, warnings)
+    check_span(file.path, time_s)
     return Skeleton(file, time_s, x, chosen, up, standing, size_m, tuple(warnings))
 
 

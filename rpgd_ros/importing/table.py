@@ -12,8 +12,24 @@ import numpy as np
 
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.importing.skeleton import AXES, MAX_FPS, SAME_RATE, Axis, SkeletonFile, frame_rate
-from rpgd_ros.importing.text import check_times, number, numbers, read_lines, refuse, shown
+from rpgd_ros.importing.skeleton import (
+    AXES,
+    MAX_FPS,
+    MIN_FPS,
+    SAME_RATE,
+    Axis,
+    SkeletonFile,
+    frame_rate,
+)
+from rpgd_ros.importing.text import (
+    check_span,
+    check_times,
+    number,
+    numbers,
+    read_lines,
+    refuse,
+    shown,
+)
 from rpgd_ros.importing.timecode import RATES, Timecode, count
 from rpgd_ros.io.rig import METRES_PER
 
@@ -65,7 +81,8 @@ def read_csv(path: Path, fps: float | None = None) -> SkeletonFile:
     if header[0].lower() == 'frame':
         rate = fps if fps is not None and 'fps' not in facts else _rate(path, facts)
         time_s = time_s / rate
-    elif fps is None and len(time_s) > 1:
+    check_span(path, time_s, places)
+    if rate is None and fps is None and len(time_s) > 1:
         _check_rate(path, facts, time_s)
     units, line = facts.get('units', ('', 0))
     up = facts.get('up', ('', 0))[0]
@@ -124,8 +141,8 @@ def _rate(path: Path, facts: dict[str, tuple[str, int]]) -> float:
         refuse(path, None, 'has frame numbers and no rate: give --mocap-fps, or a line # fps: 100')
     text, line = facts['fps']
     rate = number(text, path, line, 'fps')
-    if not 0.0 < rate <= MAX_FPS:
-        refuse(path, line, f'fps {rate:g} is no frame rate, need 1 to {MAX_FPS:g} Hz')
+    if not MIN_FPS <= rate <= MAX_FPS:
+        refuse(path, line, f'fps {rate:g} is no frame rate, need {MIN_FPS:g} to {MAX_FPS:g} Hz')
     return rate
 
 

@@ -37,15 +37,17 @@ def activity(time_s: Array, points: Array) -> Array:
     """
     grid = np.arange(time_s[0], time_s[-1], 1.0 / GRID_HZ)
     before, after = (_frames_at(time_s, grid + sign * STEP_S / 2.0) for sign in (-1.0, 1.0))
-    step = points[after] - points[before]
-    lasted = (time_s[after] - time_s[before])[:, None]
-    known = np.isfinite(step).all(-1) & (np.abs(lasted / STEP_S - 1.0) < 0.5)
-    step = np.where(known[..., None], step / np.maximum(lasted, 1e-9)[..., None], 0.0)
+    lasted = time_s[after] - time_s[before]
+    near = np.flatnonzero(np.abs(lasted / STEP_S - 1.0) < 0.5)  # few where frames are far apart
+    step = points[after[near]] - points[before[near]]
+    known = np.asarray(np.isfinite(step).all(-1))
+    step = np.where(known[..., None], step / lasted[near, None, None], 0.0)
     count = known.sum(1)
     body = step.sum(1) / np.maximum(count, 1)[:, None]
-    speed = np.where(known, np.linalg.norm(step - body[:, None], axis=-1), 0.0).sum(1)
+    total = np.where(known, np.linalg.norm(step - body[:, None], axis=-1), 0.0).sum(1)
+    speed = np.full(len(grid), np.nan)
+    speed[near] = np.where(count >= 3, total / np.maximum(count, 1), np.nan)
     with np.errstate(invalid='ignore', divide='ignore'):
-        speed = np.where(count >= 3, speed / count, np.nan)
         return speed / _smoothed(speed)
 
 

@@ -14,6 +14,7 @@ from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 
 MAX_BYTES: Final = 2**29  # an hour at 240 Hz with 60 joints takes 1/3 of it
+LONGEST_S: Final = 86_400.0  # of a recording; later times are dates, such as those of Unix
 MAX_SHOWN: Final = 80  # characters of a foreign string in a message
 
 
@@ -103,11 +104,31 @@ def check_times(path: Path, time_s: Array, lines: Sequence[int]) -> None:
         InputError: Naming the first such line.
 
     """
-    bad = np.flatnonzero(~(np.diff(time_s) > 0.0))
+    bad = np.flatnonzero(~(time_s[1:] > time_s[:-1]))
     if bad.size:
         k = int(bad[0])
         msg = f'time goes from {time_s[k]:g} to {time_s[k + 1]:g} s: it must increase'
         refuse(path, lines[k + 1], msg)
+
+
+def check_span(path: Path, time_s: Array, lines: Sequence[int] = ()) -> None:
+    """Refuse increasing times (T,) longer than a day; `lines` (T,) are their places, if they have.
+
+    One damaged time makes as long a recording, and what is sampled along it fills the memory.
+
+    Raises:
+        InputError: Naming the first time that is too late.
+
+    """
+    with np.errstate(over='ignore'):
+        late = np.flatnonzero(time_s - time_s[:1] > LONGEST_S)
+    if late.size:
+        k = int(late[0])
+        msg = (
+            f'time {time_s[k]:g} s is more than a day ({LONGEST_S:g} s) after the first, '
+            f'{time_s[0]:g} s: correct it, or split the recording'
+        )
+        refuse(path, lines[k] if lines else None, msg)
 
 
 def _is_number(cell: str) -> bool:

@@ -10,8 +10,16 @@ import numpy as np
 
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.importing.skeleton import MAX_FPS, SAME_RATE, SkeletonFile, frame_rate
-from rpgd_ros.importing.text import check_times, number, numbers, read_lines, refuse, shown
+from rpgd_ros.importing.skeleton import MAX_FPS, MIN_FPS, SAME_RATE, SkeletonFile, frame_rate
+from rpgd_ros.importing.text import (
+    check_span,
+    check_times,
+    number,
+    numbers,
+    read_lines,
+    refuse,
+    shown,
+)
 
 FORMAT: Final = 'TRC'
 UNITS: Final = {'m': 'm', 'meters': 'm', 'metres': 'm', 'mm': 'mm', 'cm': 'cm', 'inches': 'inch'}
@@ -34,8 +42,10 @@ def read_trc(path: Path, *, check_rate: bool = True) -> SkeletonFile:
         refuse(path, 1, 'no TRC file: need PathFileType and four more lines of header')
     header = dict(zip(_cells(lines[1]), _cells(lines[2]), strict=False))
     rate = number(_need(header, 'DataRate', path), path, VALUES, 'DataRate')
-    if not 0.0 < rate <= MAX_FPS:
-        refuse(path, VALUES, f'DataRate {rate:g} is no frame rate, need 1 to {MAX_FPS:g} Hz')
+    if not MIN_FPS <= rate <= MAX_FPS:
+        refuse(
+            path, VALUES, f'DataRate {rate:g} is no frame rate, need {MIN_FPS:g} to {MAX_FPS:g} Hz'
+        )
     word = _need(header, 'Units', path)
     if word.lower() not in UNITS:
         msg = f'Units {shown(word)} is unknown, need one of {", ".join(UNITS)}'
@@ -103,6 +113,7 @@ def _rows(lines: list[str], path: Path, n_joints: int) -> tuple[Array, Array, Ar
         places.append(i)
     table = np.array(rows, dtype=np.float64).reshape(-1, width)
     check_times(path, table[:, 1], places)
+    check_span(path, table[:, 1], places)
     return table[:, 0], table[:, 1], table[:, 2:].reshape(len(table), n_joints, 3)
 
 
