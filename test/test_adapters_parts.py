@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -147,6 +148,58 @@ def test_looking_in_between_changes_nothing(late: int) -> None:
             skeletons(watched)
     for a, b in zip(skeletons(watched), skeletons(fed(messages)), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize('pause', [0, 300])
+def test_a_part_that_lags_does_not_make_each_look_gather_everything(
+    pause: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One comes 1.5 s after the others, or falls silent for longer; the skeletons are the same."""
+    n_frames, lag = 2400, 300  # 12 s
+    messages = []
+    for i in range(n_frames + lag):
+        messages += [segment(i, j) for j in range(3) if i < n_frames]
+        if i >= lag and not 600 <= i - lag < 600 + pause:
+            messages.append(segment(i - lag, 3))
+    n_gathered = []
+
+    def counted(stamps: Sequence[IntArray]) -> tuple[IntArray, Any]:
+        n_gathered.append(sum(len(s) for s in stamps))
+        return gather(stamps)
+
+    monkeypatch.setattr('rpgd_ros.session.gather.gather', counted)
+    watched = Session(rig(SEGMENTS))
+    for i, (stream, payload) in enumerate(messages):
+        watched.add(stream, POSE_STAMPED, [payload], [1])
+        if i % 80 == 79:  # 0.1 s
+            skeletons(watched)
+    late = np.array(n_gathered[len(n_gathered) // 2 :])
+    assert np.median(late) < 4 * 200 * 3.0  # 3 s of the others
+    for a, b in zip(skeletons(watched), skeletons(fed(messages)), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize('n_silent', [1, 2])
+def test_a_part_that_has_stopped_does_not_hold_the_others(
+    n_silent: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A marker was lost for good: what is old is put together once all the same."""
+    messages = [
+        segment(i, j) for i in range(2400) for j in range(4) if i < 300 or j < 4 - n_silent
+    ]
+    n_gathered = []
+
+    def counted(stamps: Sequence[IntArray]) -> tuple[IntArray, Any]:
+        n_gathered.append(sum(len(s) for s in stamps))
+        return gather(stamps)
+
+    monkeypatch.setattr('rpgd_ros.session.gather.gather', counted)
+    watched = Session(rig(SEGMENTS))
+    for i, (stream, payload) in enumerate(messages):
+        watched.add(stream, POSE_STAMPED, [payload], [1])
+        if i % 80 == 79:
+            skeletons(watched)
+    assert n_gathered[-1] < 2 * 200 * 4
 
 
 def test_a_lost_message_is_one_missing_joint() -> None:

@@ -24,8 +24,10 @@ from rpgd_ros.pairing import BufferConfig, JointStream, Samples
 # there are milliseconds. A walking body moves 1.5 mm in this time.
 GAP_NS: Final = 1_000_000
 # Instants older than this against the newest are put together once, unless a message comes later
-# still: of a full buffer of 20 segments, gathering everything takes a tenth of a second.
+# still: of a full buffer of 20 segments, gathering everything takes a tenth of a second. A part
+# that lags behind the others is waited for; one that lags by more has everything gathered anew.
 SETTLED_NS: Final = NS_PER_S
+LONGEST_LAG_NS: Final = 10 * NS_PER_S
 MAX_PARTS: Final = 512  # joints, and the frames between them and the root
 
 
@@ -114,6 +116,7 @@ class GatheredStream:
         """
         went_back = False
         self._gathered = None
+        newest_ns = self._newest_ns()
         for name, rows in self._chosen(batch).items():
             stamp_ns = batch.stamp_ns[rows]
             if ((stamp_ns > 0) & (stamp_ns < self._since_ns)).any():
@@ -124,6 +127,8 @@ class GatheredStream:
                 part = self._parts[name] = JointStream(
                     *self._buffer, n_joints=1, n_values=n_values
                 )
+            # Of its oldest message just now: what comes in bursts is as late as that.
+            self._lag_ns[name] = newest_ns - (part.newest_ns or newest_ns)
             if part.add(stamp_ns, batch.values[rows][:, None], None):
                 went_back = True
                 for other in self._parts.values():
@@ -200,6 +205,7 @@ class GatheredStream:
         """Know of no part."""
         self.root = self._given_root
         self._parts: dict[str, JointStream] = {}
+        self._lag_ns: dict[str, int] = {}  # of each part's newest messages behind the other parts
         self._parents: dict[str, str] = {}
         self._wanted: set[str] = set(self._names)
         self._forget()
@@ -238,11 +244,16 @@ class GatheredStream:
         first = max(int(first), len(found.stamp_ns) - max_frames)
         return Samples(found.stamp_ns[first:], found.values[first:], None)
 
+    def _newest_ns(self) -> int:
+        """Return the newest stamp of all parts, 0 where there is none."""
+        return max((part.newest_ns or 0 for part in self._parts.values()), default=0)
+
     def _settle(self, found: Samples, tracks: Sequence[Samples]) -> None:
         """Keep the instants before a gap that lies some time back."""
         stamps = np.sort(np.concatenate([np.empty(0, np.int64), *(t.stamp_ns for t in tracks)]))
         after_gap = stamps[1:][np.diff(stamps) > GAP_NS]
-        old = after_gap[after_gap < (stamps[-1] if len(stamps) else 0) - SETTLED_NS]
+        lag_ns = min(max(self._lag_ns.values(), default=0), LONGEST_LAG_NS)
+        old = after_gap[after_gap < self._newest_ns() - lag_ns - SETTLED_NS]
         if len(old):
             self._since_ns = int(old[-1])
             n = int(np.searchsorted(found.stamp_ns, self._since_ns))
