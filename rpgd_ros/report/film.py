@@ -19,7 +19,7 @@ from rpgd_ros.core import Camera, Observations, RigidTransform
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.core.observations import NS_PER_S, View
-from rpgd_ros.io.atomic import write_atomic
+from rpgd_ros.io.atomic import refuse_link, write_atomic
 from rpgd_ros.report.images import Image
 from rpgd_ros.report.overlay import (
     DETECTED,
@@ -146,6 +146,7 @@ def write_film(
         InputError: NOT_WRITABLE.
 
     """
+    refuse_link(path)
     leader = max(range(len(cameras)), key=lambda v: observations.views[v].n_frames)
     wall = _Wall(cameras)
     with _Film(path, _rate_hz(observations.views[leader]), wall.size) as film:
@@ -231,11 +232,23 @@ class _Film:
         self._writer.release()
         try:
             if kind is None:
+                self._check()
                 self._scratch.replace(self.path)
         except OSError as failure:
             raise self._not_writable(failure.strerror or str(failure)) from failure
         finally:
             self._folder.cleanup()
+
+    def _check(self) -> None:
+        """Read the film back: a writer of OpenCV does not say that the disk is full."""
+        reader = cv2.VideoCapture(str(self._scratch))
+        n_frames = 0
+        while reader.grab():
+            n_frames += 1
+        reader.release()
+        if n_frames < self.n_frames:
+            msg = f'{n_frames} of {self.n_frames} frames came to the disk, it may be full'
+            raise self._not_writable(msg)
 
     def _not_writable(self, why: str) -> InputError:
         return InputError(Reason.NOT_WRITABLE, f'{self.path} cannot be written: {why}')
