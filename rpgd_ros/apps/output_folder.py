@@ -24,6 +24,15 @@ def check_output(output: Path, names: Collection[str], *, is_forced: bool) -> No
         InputError: NOT_WRITABLE.
 
     """
+    try:
+        _check(output, names, is_forced=is_forced)
+    except OSError as error:
+        msg = f'{output} cannot be written: {error.strerror or error}'
+        raise InputError(Reason.NOT_WRITABLE, msg) from error
+
+
+def _check(output: Path, names: Collection[str], *, is_forced: bool) -> None:
+    """Refuse as `check_output`; OSError where the operating system does not let look."""
     if not output.parent.is_dir():
         msg = f'{output.parent} is no folder: create it first'
         raise InputError(Reason.NOT_WRITABLE, msg)
@@ -56,6 +65,10 @@ def scratch_folder(output: Path) -> Iterator[Path]:
         raise InputError(Reason.NOT_WRITABLE, msg) from error
     try:
         yield Path(folder)
+    except InputError as error:
+        # What a person asked for, not a folder that is gone when they read of it.
+        said = error.message.replace(folder, str(output))
+        raise InputError(error.reason, said) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
