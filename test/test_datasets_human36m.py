@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 import shutil
+import struct
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +15,7 @@ from dataset_trees import residuals_px, write_tree
 
 from rpgd_ros.core.errors import InputError
 from rpgd_ros.core.geometry import rotation_from_quat_xyzw
-from rpgd_ros.datasets import Human36m, open_dataset
+from rpgd_ros.datasets import Human36m, files, open_dataset
 from rpgd_ros.datasets.human36m import W0_LENGTH, read_cameras, rotation_from_angles
 from rpgd_ros.simulation.dataset_writers import euler_xyz
 
@@ -119,6 +122,47 @@ def test_damaged_and_missing_cdf_files_are_named(tree: Path, tmp_path: Path) -> 
     other.unlink()
     with pytest.raises(InputError, match=r'55011271\.cdf: cannot be read'):
         Human36m.open(folder).read('S1/Directions')
+
+
+def hanging(whole: bytes) -> bytes:
+    """Return a CDF file with one flipped bit: a list of records that leads back to itself."""
+    return whole[:376] + bytes([whole[376] ^ 0x40]) + whole[377:]
+
+
+def bomb(_whole: bytes) -> bytes:
+    """Return a compressed CDF file, of zeros: half a megabyte that unpack to 512."""
+    data = zlib.compressobj(9, wbits=31)
+    packed = b''.join(data.compress(bytes(2**20)) for _ in range(512)) + data.flush()
+    size = 32 + len(packed)
+    head = struct.pack('>QiQQi', size, 10, 8 + size, 2**29, 0) + packed
+    parameters = struct.pack('>Qiiiii', 28, 11, 5, 0, 1, 6)
+    return bytes.fromhex('cdf30001cccc0001') + head + parameters
+
+
+@pytest.mark.threat('S1')
+@pytest.mark.parametrize(
+    ('damaged', 'message'),
+    [
+        (hanging, 'cannot be read as a CDF file with a variable Pose within 3 s'),
+        (bomb, r'it would take more than \d+ MiB of memory'),
+    ],
+)
+def test_cdf_file_that_hangs_or_fills_its_reader_is_refused(
+    damaged: Callable[[bytes], bytes],
+    message: str,
+    tree: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Within a time and a memory that belong to its size."""
+    folder = shutil.copytree(tree, tmp_path / 'tree')
+    path = folder / 'S1/MyPoseFeatures/D3_Positions/Directions.cdf'
+    path.write_bytes(damaged(path.read_bytes()))
+    if damaged is hanging:
+        monkeypatch.setattr(files, 'START_SECONDS', 2.5)
+    with pytest.raises(InputError, match=message) as caught:
+        Human36m.open(folder).read('S1/Directions')
+    assert str(path) in str(caught.value)
 
 
 @pytest.mark.parametrize(

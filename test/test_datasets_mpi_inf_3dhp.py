@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +164,7 @@ def test_damaged_annotations_are_named(tree: Path, tmp_path: Path) -> None:
     whole = path.read_bytes()
     rng = np.random.default_rng(2)
     complaints = []
-    for trial in range(30):
+    for trial in range(12):
         bad = bytearray(whole[: rng.integers(0, len(whole))] if trial % 2 else whole)
         if bad:
             bad[rng.integers(0, min(len(bad), 600))] ^= 0xFF
@@ -176,3 +177,44 @@ def test_damaged_annotations_are_named(tree: Path, tmp_path: Path) -> None:
     path.unlink()
     with pytest.raises(InputError, match='no sequence'):
         MpiInf3dhp.open(folder).read('S1/Seq1')
+
+
+def element(kind: int, body: bytes) -> bytes:
+    """Return a data element of a MATLAB file."""
+    return struct.pack('<II', kind, len(body)) + body + bytes(-len(body) % 8)
+
+
+def nested(depth: int) -> bytes:
+    """Return annot2 as a cell in a cell in a cell ..."""
+    heads, size = [], 0
+    for level in range(depth):
+        name = b'annot2' if level == depth - 1 else b''
+        cell = struct.pack('<II', 1, 0), struct.pack('<ii', 1, 1)
+        head = element(6, cell[0]) + element(5, cell[1]) + element(1, name)
+        size += len(head) + 8
+        heads.append(struct.pack('<II', 14, size - 8) + head)
+    return b''.join(reversed(heads))
+
+
+@pytest.mark.threat('S1')
+def test_annotations_that_crash_or_fill_their_reader_are_refused(
+    tree: Path, tmp_path: Path
+) -> None:
+    """Cells in cells end SciPy with a segmentation fault; zeros unpack to a thousand times."""
+    scipy_io: Any = pytest.importorskip('scipy.io')
+    folder = shutil.copytree(tree, tmp_path / 'tree')
+    path = folder / 'S1/Seq1/annot.mat'
+    start = path.read_bytes()[:128]
+    scipy_io.savemat(path, {'annot2': np.zeros(2**26)}, do_compression=True)
+    bomb = path.read_bytes()
+    assert len(bomb) < 2**20
+    for data, message in (
+        (start + nested(20_000), 'cannot be read as a MATLAB file: damaged'),
+        (bomb, r'it would take more than \d+ MiB of memory'),
+        (b'', 'cannot be read as a MATLAB file: .*truncated'),
+        (b'ab', 'cannot be read as a MATLAB file: '),
+    ):
+        path.write_bytes(data)
+        with pytest.raises(InputError, match=message) as caught:
+            MpiInf3dhp.open(folder).read('S1/Seq1')
+        assert 'annot.mat' in str(caught.value)

@@ -18,6 +18,7 @@ The dataset's own pose is the identity, so each sequence is moved first, see `dr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,12 +27,11 @@ import numpy as np
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.datasets.files import (
-    DAMAGE,
-    load_cdflib,
     numbers,
+    read_by_library,
     read_text,
     require_folder,
-    require_size,
+    require_library,
 )
 from rpgd_ros.datasets.sequence import (
     DatasetSequence,
@@ -39,7 +39,6 @@ from rpgd_ros.datasets.sequence import (
     check_name,
     refusal,
     sequence_from_world,
-    shown,
 )
 from rpgd_ros.skeletons import joint_names
 
@@ -58,6 +57,7 @@ N_EXTRINSICS, N_INTRINSICS = 6, 9
 W0_LENGTH = len(SIZES) * (N_SUBJECTS * N_EXTRINSICS + N_INTRINSICS)
 PUBLISHED = ('S1', 'S5', 'S6', 'S7', 'S8', 'S9', 'S11')
 MAX_CDF_BYTES = 64 * 2**20  # the longest action takes 3 MiB
+CHILD = Path(__file__).with_name('cdf_child.py')
 D3 = Path('MyPoseFeatures') / 'D3_Positions'
 D2 = Path('MyPoseFeatures') / 'D2_Positions'
 
@@ -100,10 +100,11 @@ class Human36m:
         check_name(name, self.names)
         metadata, skeletons, *views = self.files(name)
         cameras = read_cameras(metadata, int(name.partition('/')[0].removeprefix('S')))
-        x_world = _pose(skeletons, 3) * M_PER_MM
+        first, *others = _poses((skeletons, *views))
+        x_world = _table(skeletons, first, 3) * M_PER_MM
         uv = np.empty((len(cameras), *x_world.shape[:2], 2))
-        for row, path in zip(uv, views, strict=True):
-            keypoints = _pose(path, 2)
+        for row, path, values in zip(uv, views, others, strict=True):
+            keypoints = _table(path, values, 2)
             if keypoints.shape != row.shape:
                 counts = f'{len(keypoints)} frames, but D3_Positions has {len(x_world)}'
                 raise refusal(path, counts)
@@ -172,14 +173,16 @@ def rotation_from_angles(angles: Array) -> Array:
     return rotation
 
 
-def _pose(path: Path, n_values: int) -> Array:
-    """Return the variable Pose (T, 32, n_values) of a CDF file, in its unit."""
-    require_size(path, MAX_CDF_BYTES)
-    cdflib = load_cdflib()
-    try:
-        values = np.asarray(cdflib.CDF(path).varget('Pose'), dtype=np.float64)
-    except DAMAGE as error:
-        raise refusal(path, f'no CDF file with a variable Pose: {shown(str(error))}') from error
+def _poses(paths: Sequence[Path]) -> list[Array]:
+    """Return the variable Pose of each of some CDF files."""
+    require_library('cdflib')
+    what = 'a CDF file with a variable Pose'
+    contents = read_by_library(CHILD, paths, what=what, max_bytes=MAX_CDF_BYTES)
+    return [content.arrays[0] for content in contents]
+
+
+def _table(path: Path, values: Array, n_values: int) -> Array:
+    """Return the values of a variable Pose as (T, 32, n_values)."""
     width = len(JOINTS) * n_values
     if values.ndim != 3 or values.shape[0] != 1 or values.shape[2] != width:
         raise refusal(path, f'Pose must be (1, T, {width}), found {values.shape}')

@@ -16,6 +16,7 @@ bodies are scaled to one height, are not used.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,12 +26,11 @@ import numpy as np
 from rpgd_ros.core.camera import Camera
 from rpgd_ros.core.geometry import Array
 from rpgd_ros.datasets.files import (
-    DAMAGE,
-    load_scipy_io,
     numbers,
+    read_by_library,
     read_text,
     require_folder,
-    require_size,
+    require_library,
 )
 from rpgd_ros.datasets.sequence import (
     DatasetSequence,
@@ -49,6 +49,7 @@ HEADER = 'Skeletool Camera Calibration File V1.0'
 ENTRY_LENGTHS = {
     'name': 1, 'sensor': 2, 'size': 2, 'animated': 1, 'intrinsic': 16, 'extrinsic': 16, 'radial': 1
 }  # fmt: skip
+CHILD = Path(__file__).with_name('mat_child.py')
 MAX_MAT_BYTES = 2**30  # the longest sequence takes 0.3 GiB uncompressed
 # All recordings last four minutes: those of about 6000 frames ran at 25 Hz, of 12000 at 50 Hz.
 FAST_FRAMES = 9000
@@ -147,20 +148,16 @@ def _camera(path: Path, lines: list[str]) -> Camera:
 
 def _annotations(path: Path, n_cameras: int) -> tuple[Array, Array]:
     """Return keypoints (V, T, 28, 2), pixels, and the first camera's joints (T, 28, 3), mm."""
-    require_size(path, MAX_MAT_BYTES)
-    names = ['annot2', 'annot3']
-    try:
-        tree = load_scipy_io().loadmat(path, variable_names=names)
-    except DAMAGE as error:
-        raise refusal(path, f'no MATLAB file: {shown(str(error))}') from error
-    missing = [name for name in names if name not in tree]
-    if missing:
-        raise refusal(path, f'no variable {missing[0]}')
-    cells = {name: _cells(path, name, tree[name], n_cameras) for name in names}
-    x_first = _joints(path, 'annot3', cells['annot3'][0], 3)
+    require_library('scipy')
+    (content,) = read_by_library(CHILD, [path], what='a MATLAB file', max_bytes=MAX_MAT_BYTES)
+    arrays = iter(content.arrays)
+    cells = {}
+    for name, width in (('annot2', 2), ('annot3', 3)):
+        shapes = _cells(path, name, content.facts, n_cameras)
+        cells[name] = [_joints(path, name, shape, arrays, width) for shape in shapes]
+    x_first = cells['annot3'][0]
     uv = np.empty((n_cameras, len(x_first), len(JOINTS), 2))
-    for row, cell in zip(uv, cells['annot2'], strict=True):
-        keypoints = _joints(path, 'annot2', cell, 2)
+    for row, keypoints in zip(uv, cells['annot2'], strict=True):
         if keypoints.shape != row.shape:
             counts = f'{len(keypoints)} frames, but annot3 has {len(x_first)}'
             raise refusal(path, f'annot2: {counts}')
@@ -168,16 +165,21 @@ def _annotations(path: Path, n_cameras: int) -> tuple[Array, Array]:
     return uv, x_first
 
 
-def _cells(path: Path, name: str, values: Any, n_cameras: int) -> list[Any]:
-    cells = np.asarray(values)
-    if cells.dtype != object or cells.size != n_cameras:
-        raise refusal(path, f'{name} must have {n_cameras} cells, found {cells.size}')
-    return list(cells.ravel())
+def _cells(path: Path, name: str, facts: dict[str, Any], n_cameras: int) -> list[Any]:
+    if name not in facts:
+        raise refusal(path, f'no variable {name}')
+    shapes = facts[name]
+    if not isinstance(shapes, list) or len(shapes) != n_cameras:
+        found = len(shapes) if isinstance(shapes, list) else f'{shapes} values'
+        raise refusal(path, f'{name} must have {n_cameras} cells, found {found}')
+    return shapes
 
 
-def _joints(path: Path, name: str, cell: Any, n_values: int) -> Array:
+def _joints(
+    path: Path, name: str, shape: list[int] | None, arrays: Iterator[Array], n_values: int
+) -> Array:
     width = len(JOINTS) * n_values
-    values = np.asarray(cell)
-    if values.dtype.kind not in 'fiu' or values.ndim != 2 or values.shape[1] != width:
-        raise refusal(path, f'{name} must hold numbers (T, {width}), found {values.shape}')
-    return values.astype(np.float64).reshape(-1, len(JOINTS), n_values)
+    if shape is None or len(shape) != 2 or shape[1] != width:
+        found = 'something else' if shape is None else tuple(shape)
+        raise refusal(path, f'{name} must hold numbers (T, {width}), found {found}')
+    return next(arrays).reshape(-1, len(JOINTS), n_values)
