@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from geometry_msgs.msg import TransformStamped
 
 from rpgd_ros.messages import POINT_CLOUD2, POSE_ARRAY, encode_point_cloud2, encode_pose_array
 from rpgd_ros.ros.domain import free_domain
-from rpgd_ros.ros.inputs import MAX_PENDING_BYTES, JointInput
+from rpgd_ros.ros.inputs import MAX_PENDING_BYTES, STALE_SECONDS, JointInput
 from rpgd_ros.ros.player import Peer
 
 TOPIC = 'mocap/skeleton'
@@ -42,6 +43,10 @@ class Bench:
         """Poll the graph and say whether the talker has been found."""
         self.input.poll()
         return self.input.is_subscribed and not self.talker.without_subscriber()
+
+    def n_publishers(self) -> int:
+        """Return how many publishers the listener knows of."""
+        return len(self.listener.node.get_publishers_info_by_topic(TOPIC))
 
     def receive(self, payload: bytes) -> None:
         """Publish a message and wait until it has arrived."""
@@ -134,6 +139,54 @@ def test_reliability_follows_the_publishers(bench: Bench) -> None:
 
     bench.wait(is_best_effort)
     bench.receive(CLOUD)
+
+
+def test_publisher_that_never_sends_is_a_problem_that_may_pass(bench: Bench) -> None:
+    """Not at once: the time counts from the subscription."""
+    start_s = time.monotonic()
+    bench.talker.advertise({TOPIC: POSE_ARRAY})
+    bench.wait(bench.is_found)
+    bench.wait(lambda: bool(bench.input.health().problem))
+    assert time.monotonic() - start_s > STALE_SECONDS
+    assert bench.input.health().problem == "no message on 'mocap/skeleton' yet"
+    assert not bench.input.health().is_hopeless
+    bench.receive(POSES)
+    assert bench.input.health().problem == ''
+
+
+def test_time_without_a_publisher_is_no_time_of_silence() -> None:
+    """Subscribed long before, because the type is given: the publisher may take its time too."""
+    bench = Bench(free_domain(), POSE_ARRAY)
+    try:
+        end_s = time.monotonic() + STALE_SECONDS + 0.5
+
+        def is_over() -> bool:
+            bench.input.poll()
+            return time.monotonic() > end_s
+
+        bench.wait(is_over)
+        assert 'nobody publishes' in bench.input.health().problem
+        bench.talker.advertise({TOPIC: POSE_ARRAY})
+        bench.wait(lambda: bench.is_found() and bench.n_publishers() == 1)
+        bench.input.poll()
+        assert bench.input.health().problem == ''
+    finally:
+        bench.close()
+
+
+@pytest.mark.fault(15)
+def test_best_effort_publisher_that_comes_and_goes_is_forgotten(bench: Bench) -> None:
+    """Within two looks at the graph: the error lasts no longer than its publisher."""
+    bench.talker.advertise({TOPIC: POSE_ARRAY})
+    bench.wait(bench.is_found)
+    with Peer('stranger', domain_id=bench.domain) as stranger:
+        stranger.advertise({TOPIC: POSE_ARRAY}, is_reliable=False)
+        bench.wait(lambda: bench.n_publishers() == 2 and bool(bench.input._incompatible))  # noqa: SLF001
+    bench.wait(lambda: bench.n_publishers() == 1)
+    bench.input.poll()
+    assert bench.input.health().qos == 'RELIABLE'
+    assert bench.input.health().problem == ''
+    assert not bench.input.health().is_hopeless
 
 
 def test_given_type_is_subscribed_before_there_is_a_publisher() -> None:

@@ -106,7 +106,7 @@ class JointInput:
         self._msg_type = ''
         self._class: type | None = None
         self._is_headerless = False
-        self._reliability = ReliabilityPolicy.RELIABLE
+        self._reliability = self._asked = ReliabilityPolicy.RELIABLE
         self._problem = ''
         self._is_hopeless = False
         self._incompatible = ''
@@ -119,6 +119,7 @@ class JointInput:
         self._n_at_last_question = 0
         self._last_question_s = time.monotonic()
         self._last_message_s = float('nan')
+        self._awaited_s = self._last_question_s  # since when a publisher could have sent
         self.poll()
 
     @property
@@ -138,7 +139,10 @@ class JointInput:
         if wanted and not self._is_hopeless and message_class(wanted) is None:
             self._problem, self._is_hopeless = not_installed(name, wanted), True
             return
-        if self._incompatible and not self._problem:
+        if not publishers:
+            self._awaited_s = time.monotonic()
+        is_fit = self._asked == ReliabilityPolicy.BEST_EFFORT or _is_reliable(publishers)
+        if self._incompatible and not (self._problem or is_fit):  # fit: the other is gone again
             self._problem, self._is_hopeless = self._incompatible, True
         if not wanted:
             return
@@ -166,6 +170,8 @@ class JointInput:
         problem = self._problem
         if not problem and age > STALE_SECONDS:
             problem = f'no message on {shown(self.topic)} for {age:.0f} s'
+        if not problem and not self.n_received and now - self._awaited_s > STALE_SECONDS:
+            problem = f'no message on {shown(self.topic)} yet'
         problem = '; '.join(filter(None, [problem, self.complaint]))
         is_hopeless = self._is_hopeless or self.is_complaint_hopeless
         qos = self._reliability.name if self.is_subscribed else ''
@@ -178,6 +184,7 @@ class JointInput:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
         self._msg_type, self._reliability, self._incompatible = msg_type, reliability, ''
+        self._awaited_s = time.monotonic()
         self._class = message_class(msg_type)
         if self._class is None:  # given, and nobody publishes it yet
             return
@@ -198,6 +205,7 @@ class JointInput:
                 qos_overriding_options=QoSOverridingOptions(self._overridable()),
                 raw=True,
             )
+            self._asked = qos.reliability  # after the user's overrides, which rclpy writes there
         except RuntimeError as error:  # of rcl, for instance: the topic has another type here
             self._problem = f'{self.topic} cannot be subscribed to as {msg_type}: {error}'
             self._is_hopeless = True
@@ -272,10 +280,12 @@ def _together(parts: Sequence[Health]) -> Health:
 
 def _fitting(publishers: Sequence[TopicEndpointInfo]) -> ReliabilityPolicy:
     """RELIABLE where every publisher is, else BEST_EFFORT, which hears both."""
-    offered = {p.qos_profile.reliability for p in publishers}
-    if offered <= {ReliabilityPolicy.RELIABLE}:
-        return ReliabilityPolicy.RELIABLE
-    return ReliabilityPolicy.BEST_EFFORT
+    reliable, unreliable = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+    return reliable if _is_reliable(publishers) else unreliable
+
+
+def _is_reliable(publishers: Sequence[TopicEndpointInfo]) -> bool:
+    return all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
 
 
 def _problem(name: str, wanted: str, types: Sequence[str], readable: Sequence[str]) -> str:
