@@ -21,6 +21,7 @@ from rpgd_ros.importing import c3d, text
 from rpgd_ros.importing.plan import COMMON_FPS
 from rpgd_ros.importing.skeleton import settle
 from rpgd_ros.importing.skeleton_files import read_skeleton
+from rpgd_ros.io import child
 from rpgd_ros.skeletons import CONVENTIONS
 
 JOINTS = CONVENTIONS['plug_in_gait']
@@ -281,10 +282,11 @@ def test_c3d_is_read_where_less_is_allowed_than_a_file_may_take(
     """Nobody may raise a hard limit; that of a cluster or container stays."""
     path = tmp_path / 'a.c3d'
     write_c3d(path, JOINTS, body(4))
-    child = f'ulimit {limit}; exec "{sys.executable}" -P "{c3d.CHILD}" "{path}" 10'
-    done = subprocess.run(['/bin/sh', '-c', child], capture_output=True, check=False)
+    line = f'"{child.MAIN}" "{c3d.CHILD}" 10 {c3d.MAX_MEMORY} "{path}"'
+    command = f'ulimit {limit}; exec "{sys.executable}" -P {line}'
+    done = subprocess.run(['/bin/sh', '-c', command], capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(b'{"RATE": [')
+    assert done.stdout.startswith(b'{"facts": {"RATE": [')
 
 
 @pytest.mark.parametrize(

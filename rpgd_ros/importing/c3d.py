@@ -3,11 +3,7 @@
 
 from __future__ import annotations
 
-import json
-import math
 import struct
-import subprocess
-import sys
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,9 +12,9 @@ from typing import Any, Final
 import numpy as np
 
 from rpgd_ros.core.errors import Reason
-from rpgd_ros.core.geometry import Array
 from rpgd_ros.importing.skeleton import AXES, MAX_FPS, MIN_FPS, SAME_RATE, Axis, SkeletonFile
 from rpgd_ros.importing.text import read_bytes, refuse, shown
+from rpgd_ros.io.child import read_in_child
 
 FORMAT: Final = 'C3D'
 UNITS: Final = {'m': 'm', 'mm': 'mm', 'cm': 'cm', 'in': 'inch', 'inch': 'inch'}
@@ -29,6 +25,7 @@ MAGIC: Final = 0x50  # second byte of each C3D file
 CHILD: Final = Path(__file__).with_name('c3d_child.py')
 # The start of Python on a busy machine, and ten times what a megabyte takes.
 START_SECONDS, SECONDS_PER_MIB = 10.0, 1.0
+MAX_MEMORY: Final = 2**33  # bytes; a file of 33 MiB (60 markers, 36 000 frames) takes 0.6 GiB
 # Vicon's exporter writes such a section; neither it nor the C3D user guide says what stands in it.
 TIMECODE_NOTE: Final = (
     'the file has a TIMECODE section, whose layout is not published, so that it is not read: give '
@@ -53,7 +50,8 @@ def read_c3d(path: Path) -> SkeletonFile:
     if find_spec('ezc3d') is None:
         refuse(path, None, "C3D needs the library ezc3d: pip install 'rpgd_ros[import]'")
     seconds = START_SECONDS + SECONDS_PER_MIB * len(data) / 2**20
-    parameters, points = _in_a_child(path, seconds)
+    (content,) = read_in_child(CHILD, [path], what=FORMAT, seconds=seconds, memory=MAX_MEMORY)
+    parameters, (points,) = content.facts, content.arrays
     rate = _rate(path, parameters)
     labels = _labels(path, parameters, points.shape[1])
     outputs = {str(name).strip().rpartition(':')[2] for name in parameters['OUTPUTS']}
@@ -100,27 +98,6 @@ def _notes(data: bytes, rate: float, parameters: Parameters) -> tuple[str, ...]:
             'true rate with --mocap-fps'
         )
     return tuple(notes)
-
-
-def _in_a_child(path: Path, seconds: float) -> tuple[Parameters, Array]:
-    """Return the parameters of the points, and the points (3, J, T)."""
-    command = [sys.executable, '-P', str(CHILD), str(path.resolve()), str(math.ceil(seconds))]
-    try:
-        done = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=seconds,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        refuse(path, None, f'cannot be read as C3D within {seconds:.0f} s: it is damaged')
-    if done.returncode != 0:
-        said = done.stderr.decode(errors='replace').strip().splitlines()
-        refuse(path, None, f'cannot be read as C3D: {(said or ["damaged"])[-1][:200]}')
-    line, _, data = done.stdout.partition(b'\n')
-    parameters = json.loads(line)
-    return parameters, np.frombuffer(data, '<f8').reshape(parameters['SHAPE'])
 
 
 def _text(parameters: Parameters, key: str) -> str:
