@@ -101,15 +101,15 @@ def annotate(run: BagRun, path: Path, progress: Progression) -> list[str]:
 
     """
     is_file = path.suffix == '.mcap'
-    if path.exists():
-        msg = f'{path} exists already: remove it, or choose another place'
-        raise InputError(Reason.NOT_WRITABLE, msg)
     if not is_file:
-        return _write(run, path, progress)
+        return _write(run, BagWriter(path), progress)
     try:
+        if path.exists() or path.is_symlink():
+            msg = f'{path} exists already: remove it, or choose another place'
+            raise InputError(Reason.NOT_WRITABLE, msg)
         with tempfile.TemporaryDirectory(prefix='.annotated.', dir=path.parent) as scratch:
             folder = Path(scratch) / 'bag'
-            said = _write(run, folder, progress)
+            said = _write(run, BagWriter(folder, asked=path), progress)
             (file,) = folder.glob('*.mcap')
             shutil.move(file, path)
     except OSError as error:
@@ -118,17 +118,17 @@ def annotate(run: BagRun, path: Path, progress: Progression) -> list[str]:
     return said
 
 
-def _write(run: BagRun, folder: Path, progress: Progression) -> list[str]:
+def _write(run: BagRun, target: BagWriter, progress: Progression) -> list[str]:
     scene = _Scene(run)
     said: list[str] = []
-    with open_bag(run.bag) as bag, BagWriter(folder) as writer:
+    with open_bag(run.bag) as bag, target as writer:
         total = max(1, sum(info.n_messages for info in bag.topics.values()))
         copied = _declare(bag, writer, said)
         begun = False
         messages = bag.stream(copied, longest=MAX_IMAGE_BYTES)
         for n, (topic, receive_ns, payload) in enumerate(messages):
             if not begun:
-                for added in scene.begin(receive_ns):
+                for added in scene.begin():
                     writer.write(added.topic, added.msgtype, receive_ns, added.payload)
                 begun = True
             writer.write(topic, copied[topic], receive_ns, payload)
@@ -180,6 +180,7 @@ class _Scene:
         ]
         self._drawn_ns = 0
         stamps = run.snapshot.skeletons.stamp_ns.tolist()
+        self._first_ns = stamps[0]
         rows = {stamp: row for row, stamp in enumerate(stamps)}
         topic = absolute_name(run.rig.mocap.topic)
         self._additions = {topic: Addition(rows, self._of_skeleton)}
@@ -194,8 +195,12 @@ class _Scene:
                 _reprojection(camera.name, frames[camera.name], uv),
             )
 
-    def begin(self, stamp_ns: int) -> Iterator[Message]:
-        """Yield what stands before everything else."""
+    def begin(self) -> Iterator[Message]:
+        """Yield what stands before everything else, at the time of the first skeleton.
+
+        The recorder's own clock may have been anywhere.
+        """
+        stamp_ns = self._first_ns
         link = Link(self._world_frame, self._mocap_frame, self._pose, stamp_ns)
         yield Message(TF_STATIC, TF_MESSAGE, encode_tf([link]))
         c = self._calibration

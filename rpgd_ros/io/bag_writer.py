@@ -52,7 +52,12 @@ class BagWriter:
     """
 
     def __init__(
-        self, path: Path | str, *, storage: Storage = 'mcap', compression: Compression = 'none'
+        self,
+        path: Path | str,
+        *,
+        storage: Storage = 'mcap',
+        compression: Compression = 'none',
+        asked: Path | None = None,
     ) -> None:
         """Say what to write; the files are opened on entering the context.
 
@@ -60,16 +65,22 @@ class BagWriter:
             path: Folder that must not exist yet.
             storage: As `ros2 bag record --storage`.
             compression: With zstd: of each `message`, of the `file`, or of `chunk`s (mcap only).
+            asked: What a person asked for, where `path` is on the way to it: for messages.
 
         Raises:
             InputError: Something is there already.
 
         """
         self.path = Path(path)
+        self._asked = asked or self.path
         if compression == 'chunk' and storage != 'mcap':
             msg = f'chunks are a matter of mcap, not of {storage}: compress messages or the file'
             raise InputError(Reason.BAD_PARAMETER, msg)
-        if self.path.exists() or self.path.is_symlink():
+        try:
+            is_there = self.path.exists() or self.path.is_symlink()
+        except OSError as error:
+            raise self._not_writable(error) from error
+        if is_there:
             msg = f'{self.path} exists already: remove it, or choose another place'
             raise InputError(Reason.NOT_WRITABLE, msg)
         self._storage = _STORAGES[storage]
@@ -122,7 +133,8 @@ class BagWriter:
                     if name not in types.fielddefs
                 })  # fmt: skip
             self._connect(topic, msgtype, types, (LATCHED,) if is_latched else ())
-        except (KeyError, TypesysError) as error:
+        except (KeyError, TypesysError, RecursionError, SyntaxError) as error:
+            # The last two of types that hold themselves, and of names that Python cannot have.
             msg = f'topic {topic[:80]!r} has type {msgtype[:80]!r}, whose definition is not known'
             raise InputError(Reason.BAD_BAG, msg) from error
 
@@ -185,7 +197,7 @@ class BagWriter:
 
     def _not_writable(self, error: Exception) -> InputError:
         what = getattr(error, 'strerror', None) or error
-        return InputError(Reason.NOT_WRITABLE, f'{self.path} cannot be written: {what}')
+        return InputError(Reason.NOT_WRITABLE, f'{self._asked} cannot be written: {what}')
 
 
 @lru_cache(maxsize=1)
