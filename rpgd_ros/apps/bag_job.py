@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +25,29 @@ class Written(NamedTuple):
 
     what: str
     path: Path
+
+
+@dataclass(eq=False)
+class Outputs:
+    """What became of the outputs of a run, also where it ends before its time.
+
+    Attributes:
+        written: What is whole, in its order.
+        begun: What is being written, None = nothing.
+
+    """
+
+    written: list[Written] = field(default_factory=list)
+    begun: Path | None = None
+
+    def sentence(self) -> str:
+        """Say what is left of a run that was stopped."""
+        paths = ', '.join(str(one.path) for one in self.written)
+        said = [f'written before: {paths}'] if paths else []
+        # Files come whole or not at all; pictures in a folder come one by one.
+        if self.begun is not None and self.begun.is_dir():
+            said.append(f'{self.begun} may hold a part')
+        return '; '.join(said) or 'nothing was written'
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Final
 from rich.console import Console
 
 from rpgd_ros.apps.bag_annotate import annotate
-from rpgd_ros.apps.bag_job import Job, Written, make_folder
+from rpgd_ros.apps.bag_job import Job, Outputs, Written, make_folder
 from rpgd_ros.apps.bag_overlay import write_overlay
 from rpgd_ros.apps.bag_run import BagRun, tell
 from rpgd_ros.apps.progress import one_bar
@@ -33,26 +33,37 @@ from rpgd_ros.report import (
 
 
 def write_outputs(
-    run: BagRun, arguments: argparse.Namespace, err: Console, stop: Event
-) -> list[Written]:
+    run: BagRun,
+    arguments: argparse.Namespace,
+    outputs: Outputs,
+    err: Console,
+    stop: Event,
+) -> None:
     """Write everything that was asked for; of a refused run, the report only.
+
+    Args:
+        run: What was found.
+        arguments: Of the command line.
+        outputs: Told what is written, one by one.
+        err: For progress and warnings.
+        stop: Set when the program is to end.
 
     Raises:
         InputError: NOT_WRITABLE.
 
     """
-    written: list[Written] = []
     wanted = [name for name in OUTPUTS if getattr(arguments, name) is not None]
     if not wanted:
-        return written
+        return
     with one_bar(err, stop) as progress:
         job = Job(run, arguments.images, progress, lambda said: tell(err, f'warning: {said}'))
         for name in wanted:
             if _is_due(name, run):
                 path: Path = getattr(arguments, name)
+                outputs.begun = path
                 OUTPUTS[name](job, path)
-                written.append(Written(name, path))
-    return written
+                outputs.begun = None
+                outputs.written.append(Written(name, path))
 
 
 def _is_due(name: str, run: BagRun) -> bool:

@@ -18,11 +18,11 @@ from rpgd_ros.apps.bag_check import (
     print_check,
     read_accepted,
 )
-from rpgd_ros.apps.bag_job import Written
+from rpgd_ros.apps.bag_job import Outputs
 from rpgd_ros.apps.bag_json import bag_json
 from rpgd_ros.apps.bag_outputs import tell_written, write_outputs
 from rpgd_ros.apps.bag_places import check_outputs
-from rpgd_ros.apps.bag_run import BagRun, read_bag, solve_bag
+from rpgd_ros.apps.bag_run import BagRun, read_bag, solve_bag, tell
 from rpgd_ros.apps.bag_setup import read_setup, rig_file_of
 from rpgd_ros.apps.progress import one_bar
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
@@ -59,20 +59,23 @@ exit codes:
       With --check: it does not fit any more; what was moved is named
   2   bad input: rig file, bag, topics or messages cannot be used
   3   accepted, but from a part of the recording: the bag is damaged
-  130 stopped; nothing is left behind
+  130 stopped; no file is left half-written, and what was written before is named
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
     arguments = _parser().parse_args(argv)
+    out, err, outputs = Console(), Console(stderr=True), Outputs()
     try:
         with stop_on_signals() as stop:
-            return _run(arguments, Console(), Console(stderr=True), stop)
+            return _run(arguments, out, err, outputs, stop)
     except RpgdError as error:
-        return _refuse(arguments, error, None, [])
+        if not arguments.json:
+            tell_written(out, outputs.written)
+        return _refuse(arguments, error, None, outputs)
     except Stopped:
-        print('calibrate_bag: stopped, nothing was written', file=sys.stderr)
+        tell(err, f'calibrate_bag: stopped, {outputs.sentence()}')
         return EXIT_STOPPED
     except Exception:
         Console(stderr=True).print_exception()
@@ -139,7 +142,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event) -> int:
+def _run(
+    arguments: argparse.Namespace, out: Console, err: Console, outputs: Outputs, stop: Event
+) -> int:
     if arguments.check:
         return _check(arguments, out, err, stop)
     rig_file = rig_file_of(arguments.rig, arguments.params)
@@ -153,15 +158,15 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
     calibration, refusal = run.calibration, run.refusal
     if calibration is not None and refusal is None and not arguments.json:
         print_calibration(out, calibration, *run.frames)
-    written = write_outputs(run, arguments, err, stop)
+    write_outputs(run, arguments, outputs, err, stop)
     if not arguments.json:
-        tell_written(out, written)
+        tell_written(out, outputs.written)
     if refusal is not None:
-        return _refuse(arguments, refusal, run, written)
+        return _refuse(arguments, refusal, run, outputs)
     code = EXIT_PARTIAL if run.problem else EXIT_ACCEPTED
     if arguments.json:
         status = 'partial' if run.problem else 'accepted'
-        print(bag_json(status, code, message=run.problem, run=run, written=written))
+        print(bag_json(status, code, message=run.problem, run=run, written=outputs.written))
     return code
 
 
@@ -187,7 +192,7 @@ def _check(arguments: argparse.Namespace, out: Console, err: Console, stop: Even
 
 
 def _refuse(
-    arguments: argparse.Namespace, error: RpgdError, run: BagRun | None, written: list[Written]
+    arguments: argparse.Namespace, error: RpgdError, run: BagRun | None, outputs: Outputs
 ) -> int:
     """Say why there is no result, to people and programs; returns the exit code."""
     is_input = isinstance(error, InputError) or error.reason in INPUT_REASONS
@@ -196,7 +201,7 @@ def _refuse(
     print(f'calibrate_bag: {verdict} ({error.reason}): {error.message}', file=sys.stderr)
     if arguments.json:
         status = verdict.replace(' ', '_')
-        print(bag_json(status, code, error=error, run=run, written=written))
+        print(bag_json(status, code, error=error, run=run, written=outputs.written))
     return code
 
 
