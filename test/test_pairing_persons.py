@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from streams import MS, START, S
 
 from rpgd_ros.core.geometry import Array, IntArray
@@ -108,6 +110,80 @@ def test_crowd_takes_no_more_room_than_four_persons() -> None:
     assert found.stamp_ns[-1] == stamps[-1]
     counts = dict(one.counts)
     assert counts.pop('received') == sum(counts.values())
+
+
+def test_one_crowded_message_takes_no_room_once_it_is_too_long_ago() -> None:
+    """Twenty people walk by; afterwards the buffer holds as much of one person as before."""
+    stamps, values = crowd(700, [1])
+    values[300] = crowd(1, [20])[1][0]
+    one = stream(max_frames=200)
+    for stamp, v in zip(stamps[:320], values, strict=False):
+        one.add(np.array([stamp]), v[None], v[None, :, 0])
+    found = one.lend_persons()
+    assert found is not None
+    assert found.values.shape == (40, 20, J, 2)
+    lent = found.values.tobytes(), found.stamp_ns.tobytes()
+    for stamp, v in zip(stamps[320:], values[320:], strict=True):
+        one.add(np.array([stamp]), v[None], v[None, :, 0])
+    assert one.lend_persons() is None
+    samples = one.arrays()
+    np.testing.assert_array_equal(samples.stamp_ns, stamps[-200:])
+    np.testing.assert_array_equal(samples.values, np.stack(values[-200:]))
+    assert samples.confidence is not None
+    np.testing.assert_array_equal(samples.confidence, samples.values[..., 0])
+    assert (found.values.tobytes(), found.stamp_ns.tobytes()) == lent
+    counts = dict(one.counts)
+    assert counts.pop('received') == sum(counts.values())
+
+
+def held_bytes(one: JointStream) -> int:
+    """Return what the arrays behind lent samples take."""
+    samples = one.lend()
+    return sum(a.base.nbytes if a.base is not None else a.nbytes for a in samples[:2])
+
+
+def test_one_crowded_message_does_not_widen_all_that_was_there() -> None:
+    """Memory is that of four persons, also where the buffer was full of one before."""
+    stamps, values = crowd(4000, [1])
+    one = stream(max_frames=3000)
+    one.add(stamps, np.stack(values), None)
+    alone = held_bytes(one)
+    one.add(stamps[-1:] + PERIOD, crowd(1, [20])[1][0][None], None)
+    assert one.arrays().values.shape == (600, J, 2)
+    assert held_bytes(one) < 6 * alone
+
+
+@given(
+    sizes=st.lists(st.sampled_from([1, 1, 1, 2, 5, 20]), min_size=1, max_size=60),
+    cuts=st.lists(st.integers(0, 60), max_size=6),
+    seed=st.integers(0, 9),
+)
+@settings(max_examples=60, derandomize=True, deadline=None)
+def test_what_is_kept_of_crowds_is_a_function_of_the_set_of_messages(
+    sizes: list[int], cuts: list[int], seed: int
+) -> None:
+    """However often somebody looks, whatever comes together, and in whatever order."""
+    stamps, values = crowd(len(sizes), sizes)
+    live = stream(max_frames=12)
+    for stamp, v in zip(stamps, values, strict=True):
+        live.add(np.array([stamp]), v[None], None)
+        live.stamps()
+    rng = np.random.default_rng(seed)
+    order = np.argsort(np.arange(len(sizes)) + rng.uniform(0, 9, len(sizes)))
+    replay = stream(max_frames=12)
+    for part in np.split(order, sorted(cuts)):
+        width = max((len(values[i]) for i in part), default=J)
+        padded = np.full((len(part), width, 2), np.nan)
+        for k, i in enumerate(part):
+            padded[k, : len(values[i])] = values[i]
+        replay.add(stamps[part], padded, None)
+    np.testing.assert_array_equal(live.stamps(), replay.stamps())
+    np.testing.assert_array_equal(live.arrays().values, replay.arrays().values)
+    crowds = live.lend_persons(), replay.lend_persons()
+    if crowds[0] is None:
+        assert crowds[1] is None
+    else:
+        assert bits(crowds[0]) == bits(crowds[1])
 
 
 def test_clearing_forgets_the_crowd() -> None:

@@ -50,9 +50,9 @@ class Persons(NamedTuple):
 class SampleStore:
     """Keeps the newest samples, one per stamp.
 
-    A sample of several persons has the joints of all of them, person by person. From the first
-    such sample on the store is as wide as the largest; above FULL_PERSONS it keeps fewer samples,
-    so that a crowd takes no more memory than so many persons.
+    A sample of several persons has the joints of all of them, person by person. The store is as
+    wide as the largest sample that it keeps; above FULL_PERSONS it keeps fewer, so that a crowd
+    takes no more memory than so many persons.
 
     What it holds is a function of the set of samples given, not of their order: of two samples
     with one stamp, the one with more joints stays, then the one whose bytes come first.
@@ -76,24 +76,28 @@ class SampleStore:
         self._is_lent = False
         self._n_joints = n_joints
         self._stamp = np.empty(FIRST_ROWS, np.int64)
+        self._n_persons = np.empty(FIRST_ROWS, np.int64)  # of each sample
         self._values = np.empty((FIRST_ROWS, n_joints, n_values))
         self._confidence = np.empty((FIRST_ROWS, n_joints))
 
     def append(self, stamp_ns: IntArray, values: Array, confidence: Array | None) -> None:
         """Take samples in any order: (B,), (B, J, C) and (B, J), or P J joints in place of J."""
-        n, width = len(stamp_ns), self._values.shape[1]
-        if values.shape[1] != width:
+        n = len(stamp_ns)
+        if self._end + n > len(self._stamp):
+            self._make_room(n)
+        width, n_persons = self._values.shape[1], np.ones(n, np.int64)
+        if values.shape[1] != self._n_joints or width != self._n_joints:
             # The messages of a batch may be padded for one that does not belong.
-            needed = self._n_joints * _n_persons(values, self._n_joints)
+            n_persons = _n_persons(values, self._n_joints)
+            needed = self._n_joints * int(n_persons.max(initial=1))
             if needed > width:
-                self._widen(needed)
+                self._move_to(len(self._stamp), needed)
                 width = needed
             values = _padded(values[:, :width], width)
             confidence = None if confidence is None else _padded(confidence[:, :width], width)
-        if self._end + n > len(self._stamp):
-            self._make_room(n)
         rows = slice(self._end, self._end + n)
         self._stamp[rows] = stamp_ns
+        self._n_persons[rows] = n_persons
         self._values[rows] = values
         if confidence is None:
             self._confidence[rows] = np.nan
@@ -107,13 +111,8 @@ class SampleStore:
         n = len(self)
         self._start = self._sorted = self._end = 0
         self._has_confidence = False
-        if self._values.shape[1] > self._n_joints:
-            self._values = np.empty((FIRST_ROWS, self._n_joints, self._values.shape[2]))
-            self._confidence = np.empty((FIRST_ROWS, self._n_joints))
-            self._stamp = np.empty(FIRST_ROWS, np.int64)
-            self._is_lent = False
-        if self._is_lent:
-            self._move_to(FIRST_ROWS)
+        if self._is_lent or self._values.shape[1] > self._n_joints:
+            self._move_to(FIRST_ROWS, self._n_joints)
         return n
 
     def __len__(self) -> int:
@@ -137,7 +136,7 @@ class SampleStore:
         if self._values.shape[1] == self._n_joints:
             return None
         stamp_ns, values, confidence = self._all()
-        n_persons = _n_persons(values, self._n_joints)
+        n_persons = int(self._n_persons[self._start : self._end].max(initial=1))
         if n_persons == 1:
             return None  # the others are too long ago
         self._is_lent = True
@@ -160,22 +159,11 @@ class SampleStore:
         confidence = self._confidence[rows] if self._has_confidence else None
         return Samples(self._stamp[rows], self._values[rows], confidence)
 
-    @property
-    def _most(self) -> int:
-        """Most samples kept."""
-        n_persons = self._values.shape[1] // max(self._n_joints, 1)
+    def _most(self, n_persons: int) -> int:
+        """Return how many samples are kept where the largest is of so many persons."""
         if n_persons <= FULL_PERSONS:
             return self.max_frames
         return max(1, self.max_frames * FULL_PERSONS // n_persons)
-
-    def _widen(self, n_joints: int) -> None:
-        """Make room for more persons per sample."""
-        self._consolidate()
-        for name in ('_values', '_confidence'):
-            setattr(self, name, _padded(getattr(self, name), n_joints))
-        # What was lent is of the old arrays, but for the stamps.
-        self._stamp = self._stamp.copy()
-        self._is_lent = False
 
     def _consolidate(self) -> None:
         """Sort what was added since the last time, and let go of what is too old."""
@@ -187,10 +175,35 @@ class SampleStore:
             self._sorted = self._end
         kept = self._stamp[self._start : self._end]
         if len(kept):
-            too_old = int(np.searchsorted(kept, kept[-1] - self.max_age_ns))
-            n = max(too_old, len(kept) - self._most)
-            self._start += n
-            self.n_expired += n
+            self._drop(int(np.searchsorted(kept, kept[-1] - self.max_age_ns)))
+            if self._end - self._start > self._bound:
+                self._drop_crowded()
+
+    @property
+    def _bound(self) -> int:
+        """Most samples kept, if one of them needs the whole width."""
+        return self._most(self._values.shape[1] // max(self._n_joints, 1))
+
+    def _drop(self, n: int) -> None:
+        """Let go of the oldest."""
+        self._start += n
+        self.n_expired += n
+
+    def _drop_crowded(self) -> None:
+        """Keep as many of the newest as the largest of them allows, in arrays that fit them.
+
+        A sample that does not fit in beside newer ones never does again, whatever comes: what is
+        kept depends neither on the order of the samples nor on when somebody looks.
+        """
+        n_persons = self._n_persons[self._start : self._end]
+        largest = np.maximum.accumulate(n_persons[::-1])  # of the newest one, two, three, ...
+        most = np.array([self._most(n) for n in range(largest[-1] + 1)])[largest]
+        n_kept = int(np.count_nonzero(np.arange(1, len(largest) + 1) <= most))
+        self._drop(len(largest) - n_kept)
+        n_joints = self._n_joints * int(largest[n_kept - 1])
+        n_rows = max(_with_slack(n_kept), FIRST_ROWS)
+        if n_joints < self._values.shape[1] or n_rows < len(self._stamp) // 2:
+            self._move_to(n_rows, n_joints)
 
     def _merge(self, oldest_new: int) -> None:
         """Bring the rows from `oldest_new` on into order, one per stamp."""
@@ -203,9 +216,9 @@ class SampleStore:
         if self._is_lent:
             # What was lent must not change under its reader's eyes.
             shift = self._start
-            self._move_to(len(self._stamp))
+            self._move_to(len(self._stamp), self._values.shape[1])
             order, rows = order - shift, slice(rows.start - shift, rows.stop - shift)
-        for array in (self._stamp, self._values, self._confidence):
+        for array in (self._stamp, self._n_persons, self._values, self._confidence):
             array[rows] = array[order]
         self._end = rows.stop
 
@@ -240,31 +253,41 @@ class SampleStore:
         """Move the rows to the front of arrays that hold `n` more and some slack."""
         self._consolidate()
         n_kept = self._end - self._start
-        # A quarter of slack: rows move once every n_kept / 4 messages, so adding stays cheap.
-        needed = n_kept + n + n_kept // 4
+        needed = _with_slack(n_kept) + n
         rows = max(len(self._stamp), FIRST_ROWS)
         while rows < needed:
             rows *= 2
-        self._move_to(max(min(rows, self._most + self._most // 4 + 1), needed))
+        self._move_to(max(min(rows, _with_slack(self._bound)), needed), self._values.shape[1])
 
-    def _move_to(self, n_rows: int) -> None:
-        """Move the samples to the front of arrays of at least so many rows."""
-        n_kept = self._end - self._start
-        for name in ('_stamp', '_values', '_confidence'):
+    def _move_to(self, n_rows: int, n_joints: int) -> None:
+        """Move the samples to the front of arrays of at least so many rows, and this width."""
+        kept, n_kept = slice(self._start, self._end), self._end - self._start
+        is_same = n_joints == self._values.shape[1] and n_rows <= len(self._stamp) <= 2 * n_rows
+        for name in ('_stamp', '_n_persons', '_values', '_confidence'):
             old = getattr(self, name)
-            fits = n_rows <= len(old) and not self._is_lent
-            new = old if fits else np.empty((n_rows, *old.shape[1:]), old.dtype)
-            new[:n_kept] = old[self._start : self._end]
+            rows = old[kept]
+            if old.ndim > 1 and old.shape[1] != n_joints:
+                rows = _padded(rows[:, :n_joints], n_joints)
+            fits = is_same and not self._is_lent
+            new = old if fits else np.empty((n_rows, *rows.shape[1:]), old.dtype)
+            new[:n_kept] = rows
             setattr(self, name, new)
         self._is_lent = False
         self._sorted -= self._start
         self._start, self._end = 0, n_kept
 
 
-def _n_persons(values: Array, n_joints: int) -> int:
-    """Return how many persons the fullest sample of values (B, P J, C) has, at least 1."""
-    there = ~np.isnan(values[..., 0]).reshape(len(values), -1, n_joints).all(2)
-    return max(1, int(np.flatnonzero(there.any(0)).max(initial=0)) + 1)
+def _with_slack(n_rows: int) -> int:
+    """Return room for a quarter more: rows move seldom, so adding stays cheap."""
+    return n_rows + n_rows // 4 + 1
+
+
+def _n_persons(values: Array, n_joints: int) -> IntArray:
+    """Return how many persons each sample of values (B, P J, C) has, at least 1."""
+    shape = (len(values), values.shape[1] // n_joints, n_joints)
+    there: BoolArray = np.asarray(~np.isnan(values[..., 0]).reshape(shape).all(2))
+    last = there.shape[1] - np.argmax(there[:, ::-1], axis=1)
+    return np.where(there.any(1), last, 1)
 
 
 def _padded(array: Array, n_joints: int) -> Array:
