@@ -169,3 +169,35 @@ def test_a_flood_of_names_ends() -> None:
     assert len(tree) == MAX_FRAMES
     tree.add([link('other', 'a', 0)], is_static=False)
     assert tree.parent('a') == 'other'
+
+
+def test_frames_that_come_after_a_flood_are_known() -> None:
+    """What moved longest ago gives way; what is static, and what goes on to move, stays."""
+    tree = FrameTree()
+    tree.add([link('studio', 'rig', 0)], is_static=True)
+    tree.add([link('rig', 'mount', 1)], is_static=False)
+    for i in range(2 * MAX_FRAMES):
+        tree.add([link('studio', f'f{i}')], is_static=False)
+        if i % 1000 == 0:
+            tree.add([link('rig', 'mount', 1)], is_static=False)
+    assert len(tree) == MAX_FRAMES + 1
+    tree.add([link('mount', 'optical', 2)], is_static=True)
+    found = tree.path('studio', 'optical')
+    assert found is not None
+    expected = pose(0) @ pose(1) @ pose(2)
+    np.testing.assert_allclose(found.pose.matrix, expected.matrix, atol=1e-12)
+    tree.add([link('studio', 'late')], is_static=False)
+    assert tree.parent('late') == 'studio'
+    assert tree.parent('f0') == ''
+
+
+def test_a_flood_of_static_names_ends() -> None:
+    """The newest are known, and a frame that becomes static is kept once."""
+    tree = FrameTree()
+    tree.add([link('studio', 'a', 0)], is_static=False)
+    tree.add([link('studio', 'a', 0)], is_static=True)
+    assert len(tree) == 1
+    tree.add((link('studio', f'f{i}') for i in range(MAX_FRAMES + 10)), is_static=True)
+    assert len(tree) == MAX_FRAMES
+    tree.add([link('studio', 'b')], is_static=True)
+    assert tree.parent('b') == 'studio'

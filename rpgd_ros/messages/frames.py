@@ -9,12 +9,9 @@ from typing import Final, NamedTuple
 from rpgd_ros.core.geometry import RigidTransform
 from rpgd_ros.messages.tf import Link
 
-MAX_FRAMES: Final = 4096  # a flood of names ends here; the largest robots have some hundred
-
-
-class _Edge(NamedTuple):
-    link: Link
-    is_static: bool
+# Of each kind, static and moving: the largest robots have some hundred. Trackers that call every
+# passing body by a new name reach it; then what was told longest ago gives way.
+MAX_FRAMES: Final = 4096
 
 
 class Path(NamedTuple):
@@ -39,11 +36,13 @@ class FrameTree:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._edges: dict[str, _Edge] = {}
+        # By child, those told longest ago first.
+        self._static: dict[str, Link] = {}
+        self._moving: dict[str, Link] = {}
 
     def __len__(self) -> int:
         """Return the number of frames that have a parent."""
-        return len(self._edges)
+        return len(self._static) + len(self._moving)
 
     def add(self, links: Iterable[Link], *, is_static: bool) -> None:
         """Take transforms in the order in which they were sent.
@@ -54,16 +53,19 @@ class FrameTree:
 
         """
         for link in links:
-            known = self._edges.get(link.child)
-            if known is None and len(self._edges) >= MAX_FRAMES:
+            if not is_static and link.child in self._static:
                 continue
-            if known is None or is_static or not known.is_static:
-                self._edges[link.child] = _Edge(link, is_static)
+            self._moving.pop(link.child, None)
+            edges = self._static if is_static else self._moving
+            edges.pop(link.child, None)
+            edges[link.child] = link
+            if len(edges) > MAX_FRAMES:
+                del edges[next(iter(edges))]
 
     def parent(self, frame: str) -> str:
         """Return the parent of a frame, '' where none is known."""
-        edge = self._edges.get(_plain(frame))
-        return edge.link.parent if edge else ''
+        link = self._link(_plain(frame))
+        return link.parent if link else ''
 
     def path(self, target: str, source: str) -> Path | None:
         """Compose the transform from one frame to another.
@@ -91,13 +93,16 @@ class FrameTree:
         """Return `ancestor_T_frame` of a frame and all above it, nearest first."""
         found = {frame: Path(RigidTransform.identity(), is_static=True)}
         pose, is_static = found[frame]
-        edge = self._edges.get(frame)
-        while edge is not None and edge.link.parent not in found:  # a loop is no tree: stop there
-            pose = edge.link.parent_T_child @ pose
-            is_static = is_static and edge.is_static
-            found[edge.link.parent] = Path(pose, is_static)
-            edge = self._edges.get(edge.link.parent)
+        link = self._link(frame)
+        while link is not None and link.parent not in found:  # a loop is no tree: stop there
+            pose = link.parent_T_child @ pose
+            is_static = is_static and link.child in self._static
+            found[link.parent] = Path(pose, is_static)
+            link = self._link(link.parent)
         return found
+
+    def _link(self, frame: str) -> Link | None:
+        return self._static.get(frame) or self._moving.get(frame)
 
 
 def _plain(frame: str) -> str:
