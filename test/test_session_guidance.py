@@ -17,7 +17,8 @@ from rpgd_ros.core.config import AcceptConfig
 from rpgd_ros.core.geometry import so3_exp
 from rpgd_ros.core.linearise import Sight
 from rpgd_ros.core.observations import NS_PER_S, View
-from rpgd_ros.session import Session, solve
+from rpgd_ros.pairing import BufferConfig
+from rpgd_ros.session import Session, SessionConfig, solve
 from rpgd_ros.session.coverage import (
     MAX_ROOM_CELLS,
     Coverage,
@@ -109,6 +110,30 @@ def test_bodies_scattered_over_everywhere_do_not_fill_the_memory() -> None:
         coverage.add([replace(new, view=there)])
     assert coverage.room().extent_m[0] == pytest.approx(n_places, abs=1.0)
     assert coverage.image(new.camera.name).n_pairs == 2 * n_places
+
+
+def test_coverage_follows_a_buffer_that_is_changed() -> None:
+    """What a shorter one lets go is no longer counted; a longer one goes on from there."""
+    reel = Reel(walk(1, seconds=20.0))
+    coverage = covered(reel, 0.0, 12.0)
+    cameras = [camera.name for camera in reel.cameras]
+    before = {name: coverage.image(name).n_pairs for name in cameras}
+    coverage.resize(600.0)
+    assert {name: coverage.image(name).n_pairs for name in cameras} == before
+    assert coverage.seconds == pytest.approx(12.0, abs=1.1)
+    coverage.resize(2.0)
+    assert coverage.seconds == pytest.approx(2.0, abs=1.1)
+    for _, pairs in reel.ticks(12.0, 16.0):
+        coverage.add(pairs)
+    fresh = covered(reel, 12.0, 16.0, max_age_s=2.0)
+    assert fresh.seconds == coverage.seconds == pytest.approx(2.0, abs=1.1)
+    assert coverage.room() == fresh.room()
+    for name in cameras:
+        assert coverage.image(name).n_pairs == fresh.image(name).n_pairs < before[name]
+    coverage.resize(300.0)
+    for _, pairs in reel.ticks(16.0, 20.0):
+        coverage.add(pairs)
+    assert coverage.seconds == pytest.approx(6.0, abs=1.1)
 
 
 @pytest.mark.parametrize('side', ['left', 'right'])
@@ -299,6 +324,23 @@ def test_session_is_guided_from_the_first_step_to_a_calibration() -> None:
     session.reset()
     monitor.clear()
     assert monitor.guidance(gates, 1.0).seconds == 0.0
+
+
+def test_guidance_counts_what_the_buffer_holds() -> None:
+    """Its length may be changed while the recording goes on."""
+    recording = walk(7, seconds=12.0)
+    session = Session(rig_of(recording))
+    monitor = Monitor(session, max_age_s=300.0)
+    for _ in play(recording, session):
+        monitor.look()
+    assert monitor.guidance(AcceptConfig(), 1.0).seconds == pytest.approx(12.0, abs=1.1)
+    session.update_config(SessionConfig(buffer=BufferConfig(max_age_s=2.0)))
+    monitor.resize(max_age_s=2.0)
+    stamps = session.parts()[2].store.stamps()
+    held_s = float(stamps[-1] - stamps[0]) / NS_PER_S
+    found = monitor.guidance(AcceptConfig(), 1.0)
+    assert found.seconds == pytest.approx(held_s, abs=1.1)
+    assert found.figures()['recorded_s'] == found.seconds
 
 
 def test_refused_run_tells_how_exact_it_is_and_is_not_watched() -> None:

@@ -161,6 +161,7 @@ class CalibratorNode(Node):
     def _on_config(self, config: NodeConfig) -> None:
         session = self._engine.session
         session.update_config(config.session())
+        self._monitor.resize(max_age_s=config.buffer.max_age_s)
         # The session counts a camera's offset against the MoCap's of its start.
         late_s = config.mocap.time_offset - self._mocap_offset_s
         for name, camera in config.cameras.items():

@@ -79,6 +79,18 @@ class _Slot:
     seconds: set[int] = field(default_factory=set)
     room: set[tuple[int, int, int]] = field(default_factory=set)
 
+    def count(self, camera: str, hits: IntArray) -> None:
+        """Add keypoints of a camera, by cell."""
+        before = self.hits.get(camera)
+        self.hits[camera] = hits if before is None else before + hits
+
+    def merge(self, other: _Slot) -> None:
+        """Add the sums of another one."""
+        for camera, hits in other.hits.items():
+            self.count(camera, hits)
+        self.seconds |= other.seconds
+        self.room |= other.room
+
 
 class Coverage:
     """Running sums over the pairs of a session."""
@@ -90,8 +102,25 @@ class Coverage:
             max_age_s: What is older than the newest by more is forgotten, in stamps.
 
         """
-        self._slot_ns = max(round(max_age_s * NS_PER_S / N_SLOTS), NS_PER_S)
         self._slots: dict[int, _Slot] = {}
+        self._cut(max_age_s)
+
+    def resize(self, max_age_s: float) -> None:
+        """Change the time that is kept; what lies beyond it goes at once, as far as slots tell.
+
+        A slot is not divided: where it is older only in part, it goes with its newest second.
+        """
+        if max_age_s == self._max_age_s:
+            return
+        self._cut(max_age_s)
+        before, self._slots = self._slots, {}
+        newest = max((max(slot.seconds) for slot in before.values()), default=0)
+        for slot in before.values():
+            slot.seconds = {second for second in slot.seconds if second > newest - max_age_s}
+            if slot.seconds:
+                number = max(slot.seconds) * NS_PER_S // self._slot_ns
+                self._slots.setdefault(number, _Slot()).merge(slot)
+        self._let_go()
 
     def add(self, pairs: Sequence[Pairs]) -> None:
         """Take what came since the last time."""
@@ -103,10 +132,7 @@ class Coverage:
                 slot = self._slots.setdefault(n, _Slot())
                 slot.seconds.update(np.unique(stamp_ns[rows] // NS_PER_S).tolist())
                 self._enter(slot, new, rows)
-        if self._slots:
-            newest = max(self._slots)
-            for n in [n for n in self._slots if n <= newest - N_SLOTS]:
-                del self._slots[n]
+        self._let_go()
 
     def clear(self) -> None:
         """Forget everything."""
@@ -140,13 +166,23 @@ class Coverage:
         length, width = np.ptp(along, axis=0).tolist()
         return RoomCoverage(len(squares) * ROOM_CELL_M**2, (length, width))
 
+    def _cut(self, max_age_s: float) -> None:
+        """Choose how long a slot is, and how many are kept."""
+        self._max_age_s = max_age_s
+        self._slot_ns = max(round(max_age_s * NS_PER_S / N_SLOTS), NS_PER_S)
+        self._n_slots = max(1, round(max_age_s * NS_PER_S / self._slot_ns))
+
+    def _let_go(self) -> None:
+        """Forget the slots that are too old."""
+        newest = max(self._slots, default=0)
+        for n in [n for n in self._slots if n <= newest - self._n_slots]:
+            del self._slots[n]
+
     def _enter(self, slot: _Slot, new: Pairs, rows: BoolArray) -> None:
         width, height = new.camera.size
         uv, x, there = new.view.uv[rows], new.view.x_mocap[rows], new.view.seen()[rows]
         cell = _cells(uv[there], width, height)
-        hits = np.bincount(cell, minlength=ROWS * COLUMNS + 1)
-        before = slot.hits.get(new.camera.name)
-        slot.hits[new.camera.name] = hits if before is None else before + hits
+        slot.count(new.camera.name, np.bincount(cell, minlength=ROWS * COLUMNS + 1))
         if len(slot.room) < MAX_ROOM_CELLS:
             middles = _middles(np.where(there[..., None], x, np.nan))
             slot.room.update(map(tuple, np.floor(middles / ROOM_CELL_M).astype(np.int64).tolist()))

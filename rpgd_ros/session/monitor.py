@@ -104,6 +104,10 @@ class Monitor:
         """Number of the recording: another one after a reset, and after a jump of the clock."""
         return self._session.n_epochs + self._n_cleared
 
+    def resize(self, *, max_age_s: float) -> None:
+        """Follow a change of the session's buffer."""
+        self.coverage.resize(max_age_s)
+
     def look(self, *, at_all: bool = True) -> list[Pairs]:
         """Take what came since the last time, and return it.
 
