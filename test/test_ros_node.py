@@ -18,6 +18,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from rpgd_ros.io.result_file import read_result
+from rpgd_ros.io.rig import read_rig
 from rpgd_ros.messages import CAMERA_INFO, encode_camera_info, encode_pose_array
 from rpgd_ros.ros.client import NODE
 from rpgd_ros.simulation.export import MOCAP_TOPIC
@@ -161,6 +162,30 @@ def test_messages_that_cannot_be_used_are_counted_by_reason(walk: Scene, rig: Pa
         assert int(entry['oversized']) == 1
         assert int(entry['malformed']) == 2
         assert node.calibrate()[1]['xyz'] == before['xyz']
+
+
+def test_skeletons_of_another_frame_are_told_until_reset(walk: Scene, rig: Path) -> None:
+    """The MoCap system was restarted with other settings: nothing of it is taken any more."""
+    with live(rig) as node:
+        node.play(walk)
+        stamp_ns = walk.messages[-1][1]
+        x = np.ones((len(read_rig(rig).mocap.joints), 3))
+        n_sent = 0
+
+        def says(sentence: str) -> bool:
+            nonlocal n_sent
+            n_sent += 1
+            payload = encode_pose_array(stamp_ns + n_sent * 10_000_000, 'other', x)
+            node.peer.play([(MOCAP_TOPIC, 1, payload)], rate=1.0)
+            return sentence in node.peer.message('mocap')
+
+        node.wait_until(
+            'not told', lambda: says('none could be used: frame_changed, call ~/reset')
+        )
+        assert node.peer.level('mocap') == b'\x01'
+        assert 'frame_changed, call ~/reset' in node.sentence()
+        assert node.call('reset').success
+        node.wait_until('not taken', lambda: says('receiving'))
 
 
 @pytest.mark.fault(15)
