@@ -6,15 +6,17 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+import struct
+import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from dataset_trees import residuals_px, write_tree
 
 from rpgd_ros.core.errors import InputError
-from rpgd_ros.datasets import Aistpp, drawn_pose, open_dataset
+from rpgd_ros.datasets import Aistpp, DatasetName, drawn_pose, open_dataset
 
 NAME = 'gBR_sBM_cAll_d04_mBR0_ch01'
 # A camera that looks along the world's z from 5 m before its origin.
@@ -120,6 +122,23 @@ def test_published_selection_objects_to_large_residuals(by_hand: Path) -> None:
     assert published.objection(published.read(NAME)) == ''
 
 
+def with_signalling_nan(values: Any) -> Any:
+    """Return a copy whose first number is a signalling NaN, which warns wherever it is touched."""
+    bits = {4: ('<I', 0x7F800001), 8: ('<Q', 0x7FF0000000000001)}[values.itemsize]
+    data = struct.pack(*bits) + values.tobytes()[values.itemsize :]
+    return np.frombuffer(data, values.dtype).reshape(values.shape)
+
+
+TIMES = {
+    'time stands': np.zeros(3),
+    'time crawls': np.array([0.0, 5e-324, 1.0]),
+    'time flies': np.array([-1e308, 0.0, 1e308]),
+    'time of a damaged number': with_signalling_nan(np.array([0.0, 1.0, 2.0])),
+    'time as a list': [0, 16667, 50001],
+    'time as nothing': None,
+}
+
+
 def spoil(folder: Path, what: str) -> None:
     """Damage a tree written by hand in one way."""
     cameras, x = folder / 'cameras', np.zeros((3, 17, 3))
@@ -143,8 +162,23 @@ def spoil(folder: Path, what: str) -> None:
         save(folder, '2d', keypoints2d=np.concatenate([keypoints, keypoints]))
     elif what == 'other frames':
         save(folder, '2d', keypoints2d=keypoints[:, :2])
-    elif what == 'time stands':
-        save(folder, '2d', keypoints2d=keypoints, timestamps=np.zeros(3))
+    elif what.startswith('time'):
+        save(folder, '2d', keypoints2d=keypoints, timestamps=TIMES[what])
+    elif what == 'list of joints':
+        save(folder, '3d', keypoints3d=x, keypoints3d_optim=x.tolist())
+    elif what == 'no cameras':
+        (cameras / 'setting1.json').write_text('[]')
+    elif what == 'camera of no name':
+        unnamed = CAMERA | {'name': '\ud800', 'size': [0, 0]}
+        (cameras / 'setting1.json').write_text(json.dumps([unnamed]))
+    elif what == 'long name':
+        (cameras / 'mapping.txt').write_text(f'{NAME} {"s" * 300}\n')
+    elif what == 'file without end':
+        (cameras / 'setting1.json').unlink()
+        (cameras / 'setting1.json').symlink_to('/dev/zero')
+    elif what == 'pickle without end':
+        (folder / 'keypoints3d' / f'{NAME}.pkl').unlink()
+        (folder / 'keypoints3d' / f'{NAME}.pkl').symlink_to('/dev/zero')
 
 
 @pytest.mark.parametrize(
@@ -160,6 +194,17 @@ def spoil(folder: Path, what: str) -> None:
         ('other cameras', r'keypoints2d must be .* found \(2, 3, 17, 3\)'),
         ('other frames', r'2 frames, but keypoints3d has 3'),
         ('time stands', 'timestamps must increase'),
+        ('time crawls', r'ch01\.pkl: stamps must be \(3,\) increasing seconds'),
+        ('time flies', 'timestamps must increase'),
+        ('time of a damaged number', 'timestamps must increase'),
+        ('time as a list', 'timestamps is no array of numbers'),
+        ('time as nothing', 'timestamps is no array of numbers'),
+        ('list of joints', r'keypoints3d/.*ch01\.pkl: keypoints3d_optim is no array of numbers'),
+        ('no cameras', r'setting1\.json: no cameras'),
+        ('camera of no name', r"setting1\.json: '\\ud800' is no name of a camera"),
+        ('long name', r'sss\.json: cannot be read: File name too long'),
+        ('file without end', r'setting1\.json: no regular file'),
+        ('pickle without end', r'ch01\.pkl: no regular file'),
     ],
 )
 def test_damaged_file_is_named(what: str, message: str, by_hand: Path) -> None:
@@ -167,6 +212,23 @@ def test_damaged_file_is_named(what: str, message: str, by_hand: Path) -> None:
     spoil(by_hand, what)
     with pytest.raises(InputError, match=message):
         Aistpp.open(by_hand).read(NAME)
+
+
+@pytest.mark.parametrize('dtype', ['<f4', '<f8'])
+def test_damaged_numbers_are_missing(dtype: str, by_hand: Path) -> None:
+    """Without a warning: infinite, signalling, or larger than any coordinate."""
+    x, keypoints = np.zeros((3, 17, 3), dtype), np.full((1, 3, 17, 3), 0.5, dtype)
+    x[0, 1], x[0, 2] = np.inf, 1e38
+    keypoints[0, 0, 1], keypoints[0, 0, 2] = -np.inf, 1e38
+    save(by_hand, '3d', keypoints3d=with_signalling_nan(x))
+    save(by_hand, '2d', keypoints2d=with_signalling_nan(keypoints))
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        (view,) = Aistpp.open(by_hand).read(NAME).observations.views
+    assert np.isnan(view.x_mocap[0, :3]).any(-1).tolist() == [True] * 3
+    assert np.isnan(view.uv[0, 1:3]).all()
+    assert np.isfinite(view.x_mocap[1:]).all()
+    assert view.seen().sum() == 3 * 17 - 3
 
 
 @pytest.mark.parametrize(
@@ -190,6 +252,9 @@ def test_folder_of_something_else_is_refused(tmp_path: Path) -> None:
         Aistpp.open(tmp_path)
     with pytest.raises(InputError, match='nowhere: no such folder'):
         Aistpp.open(tmp_path / 'nowhere')
+    for kind in get_args(DatasetName):
+        with pytest.raises(InputError, match='xxx: no such folder'):
+            open_dataset(kind, tmp_path / ('x' * 300))
 
 
 def test_unknown_sequence_is_refused(by_hand: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from rpgd_ros.datasets.aistpp import Aistpp
+from rpgd_ros.datasets.files import status
 from rpgd_ros.datasets.human36m import Human36m
 from rpgd_ros.datasets.human36m_npz import SKELETONS, Human36mNpz
 from rpgd_ros.datasets.mpi_inf_3dhp import MpiInf3dhp
@@ -41,7 +42,7 @@ def open_dataset(kind: DatasetName, folder: Path, *, is_published: bool = False)
     """
     if kind == 'aistpp':
         return Aistpp.open(folder, is_published=is_published)
-    if kind == 'human36m' and (folder / SKELETONS).is_file():
+    if kind == 'human36m' and status(folder / SKELETONS):
         return Human36mNpz.open(folder, is_published=is_published)
     if kind == 'human36m':
         return Human36m.open(folder, is_published=is_published)

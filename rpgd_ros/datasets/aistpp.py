@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpgd_ros.core.camera import Camera
+from rpgd_ros.core.errors import InputError
 from rpgd_ros.core.geometry import Array, so3_exp
-from rpgd_ros.datasets.files import read_text, require_folder
+from rpgd_ros.datasets.files import read_text, require_folder, status, undamaged
 from rpgd_ros.datasets.pickles import read_arrays
 from rpgd_ros.datasets.sequence import (
     DatasetSequence,
@@ -84,20 +85,24 @@ class Aistpp:
         setting, skeletons, path = self.files(name)
         cameras = _cameras(setting)
         x_world = _skeletons(skeletons)
-        arrays = read_arrays(path)
-        keypoints = _array(path, arrays, 'keypoints2d', (len(cameras), None, len(JOINTS), 3))
+        arrays = read_arrays(path, ('keypoints2d', 'timestamps'))
+        keypoints = _points(path, arrays, 'keypoints2d', (len(cameras), None, len(JOINTS), 3))
         if keypoints.shape[1] != len(x_world):
             counts = f'{keypoints.shape[1]} frames, but keypoints3d has {len(x_world)}'
             raise refusal(path, counts)
-        return sequence_from_world(
-            name,
-            cameras,
-            x_world,
-            keypoints[..., :2],
-            confidence=keypoints[..., 2],
-            stamps=_seconds(path, arrays, len(x_world)),
-            joint_names=JOINTS,
-        )
+        seconds = _seconds(path, arrays, len(x_world))
+        try:
+            return sequence_from_world(
+                name,
+                cameras,
+                x_world,
+                keypoints[..., :2],
+                confidence=keypoints[..., 2],
+                stamps=seconds,
+                joint_names=JOINTS,
+            )
+        except InputError as error:
+            raise refusal(path, error.message) from error
 
     def files(self, name: str) -> tuple[Path, ...]:
         """Return cameras, 3D and 2D; see `Dataset`."""
@@ -125,7 +130,7 @@ class Aistpp:
 
 
 def _ignored(path: Path) -> frozenset[str]:
-    return frozenset(read_text(path).split()) if path.exists() else frozenset()
+    return frozenset(read_text(path).split()) if status(path) else frozenset()
 
 
 def _mapping(path: Path) -> list[tuple[str, str]]:
@@ -150,10 +155,12 @@ def _is_plain(name: str) -> bool:
 def _cameras(path: Path) -> tuple[Camera, ...]:
     text = read_text(path)
     try:
-        entries = json.loads(text)
-        return tuple(_camera(path, entry) for entry in entries)
+        cameras = tuple(_camera(path, entry) for entry in json.loads(text))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise refusal(path, f'no list of cameras: {shown(str(error))}') from error
+    if not cameras:
+        raise refusal(path, 'no cameras')
+    return cameras
 
 
 def _camera(path: Path, entry: dict[str, Any]) -> Camera:
@@ -176,14 +183,24 @@ def _camera(path: Path, entry: dict[str, Any]) -> Camera:
 
 def _skeletons(path: Path) -> Array:
     """Return the triangulated joints (T, 17, 3), metres: the optimised ones where given."""
-    arrays = read_arrays(path)
+    arrays = read_arrays(path, ('keypoints3d', 'keypoints3d_optim'))
     name = 'keypoints3d_optim' if 'keypoints3d_optim' in arrays else 'keypoints3d'
-    return _array(path, arrays, name, (None, len(JOINTS), 3)) * M_PER_CM
+    return _points(path, arrays, name, (None, len(JOINTS), 3), M_PER_CM)
+
+
+def _points(
+    path: Path,
+    arrays: dict[str, NDArray[Any]],
+    name: str,
+    shape: tuple[int | None, ...],
+    unit: float = 1.0,
+) -> Array:
+    return undamaged(_array(path, arrays, name, shape), unit)
 
 
 def _array(
     path: Path, arrays: dict[str, NDArray[Any]], name: str, shape: tuple[int | None, ...]
-) -> Array:
+) -> NDArray[Any]:
     if name not in arrays:
         raise refusal(path, f'no array {name!r}: it has {shown(", ".join(arrays))}')
     found = arrays[name].shape
@@ -191,8 +208,7 @@ def _array(
     if not fits or any(n not in {None, m} for n, m in zip(shape, found, strict=True)):
         wanted = tuple('T' if n is None else n for n in shape)
         raise refusal(path, f'{name} must be {wanted}, found {found}')
-    values: Array = arrays[name].astype(np.float64)
-    return values
+    return arrays[name]
 
 
 def _seconds(path: Path, arrays: dict[str, NDArray[Any]], n_frames: int) -> Array:
@@ -203,9 +219,10 @@ def _seconds(path: Path, arrays: dict[str, NDArray[Any]], n_frames: int) -> Arra
     """
     if 'timestamps' not in arrays or n_frames < 2:
         return np.arange(n_frames) / FPS
-    stamps = _array(path, arrays, 'timestamps', (n_frames,))
-    steps = np.diff(stamps)
-    if not (np.isfinite(steps).all() and (steps > 0.0).all()):
+    with np.errstate(all='ignore'):  # of numbers that are refused
+        stamps = _array(path, arrays, 'timestamps', (n_frames,)).astype(np.float64)
+        steps = np.diff(stamps)
+        seconds: Array = (stamps - stamps[0]) / (float(np.median(steps)) * FPS)
+    if not ((steps > 0.0).all() and np.isfinite(seconds).all()):
         raise refusal(path, 'timestamps must increase')
-    seconds: Array = (stamps - stamps[0]) / (float(np.median(steps)) * FPS)
     return seconds

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+import os
+import stat
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.core.geometry import Array
+from rpgd_ros.core.observations import LARGEST_COORDINATE
 from rpgd_ros.datasets.sequence import refusal, shown
 from rpgd_ros.io.child import Content, read_in_child
 
@@ -24,6 +29,14 @@ START_SECONDS, SECONDS_PER_MIB = 10.0, 1.0
 START_MEMORY, MEMORY_PER_BYTE = 2**29, 32
 
 
+def status(path: Path) -> os.stat_result | None:
+    """Return what the system knows of a file or folder; None where it cannot be reached."""
+    try:
+        return path.stat()
+    except OSError:  # also that a name is too long, which Path.exists lets through
+        return None
+
+
 def require_folder(path: Path) -> Path:
     """Return the path of a folder.
 
@@ -31,7 +44,8 @@ def require_folder(path: Path) -> Path:
         InputError: There is none.
 
     """
-    if not path.is_dir():
+    found = status(path)
+    if found is None or not stat.S_ISDIR(found.st_mode):
         raise refusal(path, 'no such folder')
     return path
 
@@ -39,11 +53,31 @@ def require_folder(path: Path) -> Path:
 def require_size(path: Path, max_bytes: int) -> None:
     """Refuse a file that is missing, or larger than its kind ever is."""
     try:
-        n_bytes = path.stat().st_size
+        found = path.stat()
     except OSError as error:
         raise refusal(path, f'cannot be read: {error.strerror or error}') from error
-    if n_bytes > max_bytes:
-        raise refusal(path, f'{n_bytes} bytes: such files have at most {max_bytes}')
+    if not stat.S_ISREG(found.st_mode):
+        raise refusal(path, 'no regular file')  # a device may have no end, a pipe no writer
+    if found.st_size > max_bytes:
+        raise refusal(path, f'{found.st_size} bytes: such files have at most {max_bytes}')
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """Read a file of limited size.
+
+    Raises:
+        InputError: Missing, too large.
+
+    """
+    require_size(path, max_bytes)
+    try:
+        with path.open('rb') as file:
+            data = file.read(max_bytes + 1)
+    except OSError as error:
+        raise refusal(path, f'cannot be read: {error.strerror or error}') from error
+    if len(data) > max_bytes:
+        raise refusal(path, f'more than {max_bytes} bytes: such files have at most as many')
+    return data
 
 
 def read_text(path: Path) -> str:
@@ -53,13 +87,25 @@ def read_text(path: Path) -> str:
         InputError: Missing, too large, no text.
 
     """
-    require_size(path, MAX_TEXT_BYTES)
     try:
-        return path.read_text(encoding='utf-8')
-    except OSError as error:
-        raise refusal(path, f'cannot be read: {error.strerror or error}') from error
+        return read_bytes(path, MAX_TEXT_BYTES).decode('utf-8')
     except UnicodeDecodeError as error:
         raise refusal(path, 'no text (UTF-8)') from error
+
+
+def undamaged(values: NDArray[Any], unit: float = 1.0) -> Array:
+    """Return numbers in metres or pixels; NaN for what no recording can hold.
+
+    Args:
+        values: As a file has them, of any kind of number.
+        unit: Theirs, in metres or pixels.
+
+    """
+    # Signalling NaN and numbers beyond the range warn wherever they are touched.
+    with np.errstate(all='ignore'):
+        scaled: Array = values.astype(np.float64) * unit
+        scaled[~(np.abs(scaled) <= LARGEST_COORDINATE)] = np.nan
+    return scaled
 
 
 def numbers(path: Path, what: str, words: list[str], count: int) -> Array:

@@ -32,6 +32,7 @@ from rpgd_ros.datasets.files import (
     read_text,
     require_folder,
     require_library,
+    undamaged,
 )
 from rpgd_ros.datasets.sequence import (
     DatasetSequence,
@@ -101,7 +102,7 @@ class Human36m:
         metadata, skeletons, *views = self.files(name)
         cameras = read_cameras(metadata, int(name.partition('/')[0].removeprefix('S')))
         first, *others = _poses((skeletons, *views))
-        x_world = _table(skeletons, first, 3) * M_PER_MM
+        x_world = _table(skeletons, first, 3, M_PER_MM)
         uv = np.empty((len(cameras), *x_world.shape[:2], 2))
         for row, path, values in zip(uv, views, others, strict=True):
             keypoints = _table(path, values, 2)
@@ -181,9 +182,9 @@ def _poses(paths: Sequence[Path]) -> list[Array]:
     return [content.arrays[0] for content in contents]
 
 
-def _table(path: Path, values: Array, n_values: int) -> Array:
+def _table(path: Path, values: Array, n_values: int, unit: float = 1.0) -> Array:
     """Return the values of a variable Pose as (T, 32, n_values)."""
     width = len(JOINTS) * n_values
     if values.ndim != 3 or values.shape[0] != 1 or values.shape[2] != width:
         raise refusal(path, f'Pose must be (1, T, {width}), found {values.shape}')
-    return values.reshape(-1, len(JOINTS), n_values)
+    return undamaged(values.reshape(-1, len(JOINTS), n_values), unit)

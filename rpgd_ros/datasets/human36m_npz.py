@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from rpgd_ros.core.geometry import Array
-from rpgd_ros.datasets.files import require_size
+from rpgd_ros.datasets.files import require_size, undamaged
 from rpgd_ros.datasets.human36m import FPS, JOINTS, N_SUBJECTS, PUBLISHED, read_cameras
 from rpgd_ros.datasets.pickles import MAX_BYTES, read_npz_tree
 from rpgd_ros.datasets.sequence import (
@@ -107,4 +107,4 @@ def _kept(path: Path, name: str, _time_ns: int) -> dict[str, dict[str, Any]]:
 def _numbers(path: Path, name: str, values: Any, shape: tuple[int, int]) -> Array:
     if not isinstance(values, np.ndarray) or values.ndim != 3 or values.shape[1:] != shape:
         raise refusal(path, f'{name}: need numbers (T, {shape[0]}, {shape[1]})')
-    return values.astype(np.float64)
+    return undamaged(values)

@@ -12,7 +12,7 @@ NAMES = ['annot2', 'annot3']
 
 
 def read(path: str) -> tuple[dict[str, Any], list[Any]]:
-    """Return the numbers of the cells of both variables, one after the other.
+    """Return the numbers of the cells of annot2, and of the first cell of annot3.
 
     The facts are, by variable, the shapes of its cells, None for a cell that holds no table of
     numbers; or how many values stand there where it has no cells.
@@ -29,5 +29,6 @@ def read(path: str) -> tuple[dict[str, Any], list[Any]]:
             continue
         tables = [np.asarray(cell) for cell in cells.ravel()]
         facts[name] = [table.shape if table.dtype.kind in 'fiu' else None for table in tables]
-        arrays += [table for table in tables if table.dtype.kind in 'fiu']
+        used = tables if name == 'annot2' else tables[:1]
+        arrays += [table for table in used if table.dtype.kind in 'fiu']
     return facts, arrays

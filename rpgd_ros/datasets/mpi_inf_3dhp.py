@@ -31,6 +31,7 @@ from rpgd_ros.datasets.files import (
     read_text,
     require_folder,
     require_library,
+    undamaged,
 )
 from rpgd_ros.datasets.sequence import (
     DatasetSequence,
@@ -91,7 +92,7 @@ class MpiInf3dhp:
         first = cameras[0].camera_T_world
         if first is None:
             raise refusal(calibration, 'the first camera has no extrinsics')
-        x_world = first.inverse() @ (x_first * M_PER_MM)
+        x_world = first.inverse() @ x_first
         fps = FAST_FPS if len(x_world) > FAST_FRAMES else FPS
         return sequence_from_world(name, cameras, x_world, uv, fps=fps, joint_names=JOINTS)
 
@@ -147,21 +148,19 @@ def _camera(path: Path, lines: list[str]) -> Camera:
 
 
 def _annotations(path: Path, n_cameras: int) -> tuple[Array, Array]:
-    """Return keypoints (V, T, 28, 2), pixels, and the first camera's joints (T, 28, 3), mm."""
+    """Return keypoints (V, T, 28, 2), pixels, and the first camera's joints (T, 28, 3), metres."""
     require_library('scipy')
     (content,) = read_by_library(CHILD, [path], what='a MATLAB file', max_bytes=MAX_MAT_BYTES)
     arrays = iter(content.arrays)
-    cells = {}
-    for name, width in (('annot2', 2), ('annot3', 3)):
-        shapes = _cells(path, name, content.facts, n_cameras)
-        cells[name] = [_joints(path, name, shape, arrays, width) for shape in shapes]
-    x_first = cells['annot3'][0]
+    shapes = {name: _cells(path, name, content.facts, n_cameras) for name in ('annot2', 'annot3')}
+    tables = [_joints(path, 'annot2', shape, arrays, 2) for shape in shapes['annot2']]
+    x_first = undamaged(_joints(path, 'annot3', shapes['annot3'][0], arrays, 3), M_PER_MM)
     uv = np.empty((n_cameras, len(x_first), len(JOINTS), 2))
-    for row, keypoints in zip(uv, cells['annot2'], strict=True):
+    for row, keypoints in zip(uv, tables, strict=True):
         if keypoints.shape != row.shape:
             counts = f'{len(keypoints)} frames, but annot3 has {len(x_first)}'
             raise refusal(path, f'annot2: {counts}')
-        row[:] = keypoints
+        row[:] = undamaged(keypoints)
     return uv, x_first
 
 

@@ -17,7 +17,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rpgd_ros.datasets.files import require_size
+from rpgd_ros.datasets.files import read_bytes, require_size
 from rpgd_ros.datasets.sequence import refusal, shown
 
 # The longest sequence of AIST++ takes 5 MiB; all skeletons of Human3.6M together 200, keypoints
@@ -204,25 +204,21 @@ def _load(data: bytes) -> Any:
     return _Unpickler(data).load()
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, needed: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
     """Read a pickled mapping of arrays of numbers; entries of other kinds are left out.
 
     Args:
         path: Of the file.
+        needed: Entries that must be arrays where they are there.
 
     Raises:
         InputError: Missing, too large, damaged, or more than arrays.
 
     """
-    require_size(path, MAX_BYTES)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise refusal(path, f'cannot be read: {error.strerror or error}') from error
-    return arrays_of(path, data)
+    return arrays_of(path, read_bytes(path, MAX_BYTES), needed)
 
 
-def arrays_of(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
+def arrays_of(path: Path, data: bytes, needed: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
     """Do what `read_arrays` does with the bytes of a file; the path is for messages."""
     try:
         tree = _load(data)
@@ -230,13 +226,17 @@ def arrays_of(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
         raise refusal(path, f'no pickle of plain arrays: {shown(str(error))}') from error
     if not isinstance(tree, dict):
         raise refusal(path, 'need a mapping of arrays')
-    return {
+    found = {
         key: value.value
         for key, value in tree.items()
         if isinstance(key, str)
         and isinstance(value, _Array)
         and isinstance(value.value, np.ndarray)
     }
+    for name in needed:
+        if name in tree and name not in found:
+            raise refusal(path, f'{name} is no array of numbers')
+    return found
 
 
 def read_npz_tree(path: Path, name: str) -> dict[str, dict[str, Any]]:

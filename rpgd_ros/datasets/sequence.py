@@ -155,6 +155,8 @@ def camera_from_file(
         InputError: No such camera is possible.
 
     """
+    if not name.isprintable():
+        raise refusal(path, f'{shown(name)} is no name of a camera')
     error = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not error < MAX_SKEW:  # True for NaN
         raise refusal(path, f'camera {shown(name)}: the rotation is none (off by {error:.2g})')
