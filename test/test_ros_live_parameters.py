@@ -67,6 +67,19 @@ def test_integer_may_stand_for_a_double(node: Live) -> None:
     assert node.calibrate()[0]
 
 
+def test_guidance_counts_no_more_than_a_buffer_that_was_shortened(walk: Scene) -> None:
+    """Eight seconds were recorded; two of them are left."""
+    with live(walk.rig) as running:
+        running.play(walk)
+
+        def recorded_s() -> float:
+            return float(running.peer.diagnostics('calibration').get('recorded_s', 'nan'))
+
+        running.wait_until('not recorded', lambda: recorded_s() >= 7.0)
+        assert set_to(running, 'buffer.max_age_s', double(2.0)) == ''
+        running.wait_until('not let go', lambda: recorded_s() <= 3.0)
+
+
 @pytest.mark.parametrize(
     ('name', 'value', 'reason'),
     [
