@@ -6,10 +6,9 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from threading import Event
-
-from rich.console import Console
 
 from rpgd_ros.apps.bag_check import (
     check_arguments,
@@ -18,7 +17,7 @@ from rpgd_ros.apps.bag_check import (
     print_check,
     read_accepted,
 )
-from rpgd_ros.apps.bag_job import Outputs
+from rpgd_ros.apps.bag_job import Outputs, Written
 from rpgd_ros.apps.bag_json import bag_json
 from rpgd_ros.apps.bag_outputs import tell_written, write_outputs
 from rpgd_ros.apps.bag_places import check_outputs
@@ -27,6 +26,7 @@ from rpgd_ros.apps.bag_setup import read_setup, rig_file_of
 from rpgd_ros.apps.progress import one_bar
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.apps.tables import print_calibration, print_streams
+from rpgd_ros.apps.terminal import CannotPrintError, Terminal, give_up_printing, terminals
 from rpgd_ros.core.errors import InputError, Reason, RpgdError
 
 EXIT_ACCEPTED, EXIT_REFUSED, EXIT_BAD_INPUT, EXIT_PARTIAL, EXIT_BUG = 0, 1, 2, 3, 70
@@ -59,6 +59,8 @@ exit codes:
       With --check: it does not fit any more; what was moved is named
   2   bad input: rig file, bag, topics or messages cannot be used
   3   accepted, but from a part of the recording: the bag is damaged
+  74  the output cannot be printed: a pipe that nobody reads, a full disk; what was written
+      before is named
   130 stopped; no file is left half-written, and what was written before is named
 """
 
@@ -66,21 +68,32 @@ exit codes:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
     arguments = _parser().parse_args(argv)
-    out, err, outputs = Console(), Console(stderr=True), Outputs()
+    out, err = terminals()
+    outputs = Outputs()
+    try:
+        return _outcome(arguments, out, err, outputs)
+    except CannotPrintError as error:
+        said = f'cannot print any more: {error}; {outputs.sentence()}'
+        return give_up_printing(f'calibrate_bag: {said}')
+    except Exception:
+        with suppress(CannotPrintError):
+            err.print_exception()
+            tell(err, 'calibrate_bag: this should not happen, please report it')
+        return EXIT_BUG
+
+
+def _outcome(arguments: argparse.Namespace, out: Terminal, err: Terminal, outputs: Outputs) -> int:
+    """Run, and say how it ended; returns the exit code."""
     try:
         with stop_on_signals() as stop:
             return _run(arguments, out, err, outputs, stop)
     except RpgdError as error:
         if not arguments.json:
             tell_written(out, outputs.written)
-        return _refuse(arguments, error, None, outputs)
+        return _refuse(arguments, out, err, error, written=outputs.written)
     except Stopped:
         tell(err, f'calibrate_bag: stopped, {outputs.sentence()}')
         return EXIT_STOPPED
-    except Exception:
-        Console(stderr=True).print_exception()
-        print('calibrate_bag: this should not happen, please report it', file=sys.stderr)
-        return EXIT_BUG
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -143,7 +156,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(
-    arguments: argparse.Namespace, out: Console, err: Console, outputs: Outputs, stop: Event
+    arguments: argparse.Namespace, out: Terminal, err: Terminal, outputs: Outputs, stop: Event
 ) -> int:
     if arguments.check:
         return _check(arguments, out, err, stop)
@@ -162,15 +175,15 @@ def _run(
     if not arguments.json:
         tell_written(out, outputs.written)
     if refusal is not None:
-        return _refuse(arguments, refusal, run, outputs)
+        return _refuse(arguments, out, err, refusal, run=run, written=outputs.written)
     code = EXIT_PARTIAL if run.problem else EXIT_ACCEPTED
     if arguments.json:
         status = 'partial' if run.problem else 'accepted'
-        print(bag_json(status, code, message=run.problem, run=run, written=outputs.written))
+        out.write(bag_json(status, code, message=run.problem, run=run, written=outputs.written))
     return code
 
 
-def _check(arguments: argparse.Namespace, out: Console, err: Console, stop: Event) -> int:
+def _check(arguments: argparse.Namespace, out: Terminal, err: Terminal, stop: Event) -> int:
     check_arguments(arguments)
     rig_file = rig_file_of(arguments.rig, arguments.params)
     rig, settings = read_setup(rig_file, arguments.params, arguments.cameras)
@@ -185,23 +198,29 @@ def _check(arguments: argparse.Namespace, out: Console, err: Console, stop: Even
     if arguments.json:
         message = '; '.join(filter(None, [found.complaint, run.problem]))
         tree = check_tree(found, stored)
-        print(bag_json(status, code, message=message, run=run, check=tree))
+        out.write(bag_json(status, code, message=message, run=run, check=tree))
     else:
         print_check(out, found, stored)
     return code
 
 
 def _refuse(
-    arguments: argparse.Namespace, error: RpgdError, run: BagRun | None, outputs: Outputs
+    arguments: argparse.Namespace,
+    out: Terminal,
+    err: Terminal,
+    error: RpgdError,
+    *,
+    run: BagRun | None = None,
+    written: Sequence[Written],
 ) -> int:
     """Say why there is no result, to people and programs; returns the exit code."""
     is_input = isinstance(error, InputError) or error.reason in INPUT_REASONS
     verdict = 'bad input' if is_input else 'refused'
     code = EXIT_BAD_INPUT if is_input else EXIT_REFUSED
-    print(f'calibrate_bag: {verdict} ({error.reason}): {error.message}', file=sys.stderr)
+    tell(err, f'calibrate_bag: {verdict} ({error.reason}): {error.message}')
     if arguments.json:
         status = verdict.replace(' ', '_')
-        print(bag_json(status, code, error=error, run=run, written=outputs.written))
+        out.write(bag_json(status, code, error=error, run=run, written=written))
     return code
 
 

@@ -17,6 +17,7 @@ from rpgd_ros.io.atomic import write_atomic
 from rpgd_ros.report.blocks import Block, Figure, Section, Side
 from rpgd_ros.report.case import Case
 from rpgd_ros.report.measure import Measured, measure
+from rpgd_ros.report.plain import plain
 from rpgd_ros.report.sections import SECTIONS
 from rpgd_ros.report.verdict import Verdict, is_of_nothing, judge
 
@@ -69,6 +70,7 @@ def page_of(measured: Measured, verdict: Verdict) -> str:
     environment = Environment(
         loader=FileSystemLoader(PAGE),
         autoescape=True,
+        finalize=_plain,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -90,6 +92,11 @@ def page_of(measured: Measured, verdict: Verdict) -> str:
         style=(PAGE / 'report.css').read_text(),
         script=(PAGE / 'report.js').read_text(),
     )
+
+
+def _plain(value: object) -> object:
+    """Return what a place of the page is filled with; our own markup is a type of its own."""
+    return plain(value) if type(value) is str else value
 
 
 def _not_said(case: Case, verdict: Verdict) -> list[str]:
