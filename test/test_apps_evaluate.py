@@ -20,6 +20,7 @@ from dataset_trees import plan
 
 from rpgd_ros.apps import evaluate, evaluate_sequence
 from rpgd_ros.apps.evaluate_pool import each_somewhere
+from rpgd_ros.datasets import open_dataset
 from rpgd_ros.simulation.dataset_writers import write_twin
 
 TIMES = ('read_ms', 'ransac_ms', 'rpgd_ms', 'default_ms')
@@ -156,6 +157,48 @@ def test_changed_data_and_damaged_results_are_done_again(
     assert evaluate.main(copied) == 0
     assert len(again) == (2 if what in {'version', 'selection'} else 1)
     assert first.stem in again
+
+
+WRONG = [
+    {'default_px': None}, {'default_px': 'x'}, {'rpgd_ms': []}, {'frames': [1]}, {'frames': 1.5},
+    {'frames': True}, {'joints': 10**400}, {'gt_px': 10**400}, {'sequence': None},
+    {'sequence': 'another'}, {'error': 1}, {'left_out': '\ud800'},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize('wrong', WRONG, ids=lambda wrong: f'{wrong}'[:30])
+def test_kept_result_with_values_of_other_kinds_is_done_again(
+    wrong: dict[str, Any], copied: list[str], tmp_path: Path
+) -> None:
+    """Somebody's editor, or a damaged disk: neither ends in a traceback."""
+    first = min((tmp_path / 'results').iterdir())
+    kept = json.loads(first.read_text())
+    folder, results = Path(copied[0]).absolute(), tmp_path / 'results'
+    task = evaluate_sequence.Task('aistpp', folder, kept['row']['sequence'], False, results)  # noqa: FBT003
+    dataset = open_dataset('aistpp', folder)
+    assert evaluate_sequence.finished(task, dataset) is not None
+    first.write_text(json.dumps(kept | {'row': kept['row'] | wrong}))
+    assert evaluate_sequence.finished(task, dataset) is None
+
+
+def test_names_too_long_for_the_system_are_named(
+    copied: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a setting, of the dataset, of the place for results: bad input each, and no traceback."""
+    long = 'x' * 300
+    (tmp_path / 'tree/cameras/mapping.txt').write_text(
+        ''.join(f'{p.stem} {long}\n' for p in (tmp_path / 'tree/keypoints2d').iterdir())
+    )
+    for line in (
+        copied,
+        [long, *copied[1:]],
+        [*copied, '--csv', f'{long}/rows.csv'],
+        [*copied, '--results', long],
+    ):
+        assert evaluate.main(line) == 2
+        err = capsys.readouterr().err
+        assert long in err
+        assert 'Traceback' not in err
 
 
 def test_processes_find_the_same_as_one(done: Done, tmp_path: Path) -> None:

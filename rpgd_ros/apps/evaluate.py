@@ -25,6 +25,7 @@ from rpgd_ros.apps.progress import bar_columns
 from rpgd_ros.apps.stopping import EXIT_STOPPED, Stopped, stop_on_signals
 from rpgd_ros.core.errors import InputError, Reason
 from rpgd_ros.datasets import Dataset, DatasetName, open_dataset
+from rpgd_ros.datasets.files import is_folder
 from rpgd_ros.io.atomic import remove_leftovers, write_atomic
 from rpgd_ros.report.sequences import check_library
 
@@ -137,7 +138,7 @@ def _run(arguments: argparse.Namespace, out: Console, err: Console, stop: Event)
         check_library()
     files = (arguments.csv, arguments.results, arguments.export, arguments.plots)
     for path in filter(None, files):
-        if not path.absolute().parent.is_dir():
+        if not is_folder(path.absolute().parent):
             msg = f'{path.parent} is no folder: create it first'
             raise InputError(Reason.NOT_WRITABLE, msg)
     is_published = arguments.select == 'published'

@@ -26,6 +26,7 @@ from rpgd_ros.core import (
 )
 from rpgd_ros.core.geometry import rotation_angle
 from rpgd_ros.datasets import Dataset, DatasetName, DatasetSequence, open_dataset
+from rpgd_ros.datasets.files import status
 from rpgd_ros.datasets.labels import write_labels
 from rpgd_ros.io.atomic import write_atomic
 
@@ -40,6 +41,8 @@ COLUMNS = (
     'read_ms', *(f'{method}_{figure}' for method in METHODS for figure in FIGURES),
     'default_sigma_deg', 'default_sigma_mm', 'noise_px', 'bound_deg', 'bound_mm', 'lasting_px',
 )  # fmt: skip
+TEXTS = ('sequence', 'left_out', 'error', *(f'{method}_refusal' for method in METHODS))
+COUNTS = ('cameras', 'frames', 'joints', 'correspondences')
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +92,7 @@ class Task:
     @property
     def is_exported(self) -> bool:
         """Whether nothing is left to export; the .json file is written last."""
-        return self.export is None or (self.export / f'{self.stem}.json').exists()
+        return self.export is None or status(self.export / f'{self.stem}.json') is not None
 
 
 def evaluate(task: Task) -> Row:
@@ -119,15 +122,29 @@ def finished(task: Task, dataset: Dataset) -> Row | None:
         is_ours = kept['schema'] == SCHEMA and kept['key'] == fingerprint(task, dataset)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
-    if not (is_ours and isinstance(row, dict) and row.keys() == set(COLUMNS)):
+    if not (is_ours and isinstance(row, dict) and _is_row(row) and row['sequence'] == task.name):
         return None
     has_labels = not (row['left_out'] or row['default_refusal'])
     return None if has_labels and not task.is_exported else row
 
 
+def _is_row(row: dict[str, Any]) -> bool:
+    """Whether a row that was kept has what a row has: somebody may have edited it."""
+    if row.keys() != set(COLUMNS):
+        return False
+    texts = [row[column] for column in TEXTS]
+    counts = [row[column] for column in COUNTS]
+    figures = [row[column] for column in set(COLUMNS) - {*TEXTS, *COUNTS}]
+    return (
+        all(isinstance(text, str) and text.isprintable() for text in texts)
+        and all(type(count) is int and 0 <= count < 2**63 for count in counts)
+        and all(type(figure) is float for figure in figures)
+    )
+
+
 def fingerprint(task: Task, dataset: Dataset) -> str:
     """Return a digest of all that a result depends on; files count by size and time."""
-    stats = [path.stat() for path in dataset.files(task.name) if path.exists()]
+    stats = [found for path in dataset.files(task.name) if (found := status(path))]
     parts = [
         __version__, task.dataset, task.name, task.is_published,
         [(stat.st_size, stat.st_mtime_ns) for stat in stats],
@@ -138,8 +155,7 @@ def fingerprint(task: Task, dataset: Dataset) -> str:
 
 def empty_row(name: str) -> Row:
     """Return a row without figures."""
-    texts = {'sequence', 'left_out', 'error', *(f'{method}_refusal' for method in METHODS)}
-    return {column: '' if column in texts else float('nan') for column in COLUMNS} | {
+    return {column: '' if column in TEXTS else float('nan') for column in COLUMNS} | {
         'sequence': name
     }
 

@@ -37,6 +37,12 @@ def status(path: Path) -> os.stat_result | None:
         return None
 
 
+def is_folder(path: Path) -> bool:
+    """Whether there is such a folder."""
+    found = status(path)
+    return found is not None and stat.S_ISDIR(found.st_mode)
+
+
 def require_folder(path: Path) -> Path:
     """Return the path of a folder.
 
@@ -44,8 +50,7 @@ def require_folder(path: Path) -> Path:
         InputError: There is none.
 
     """
-    found = status(path)
-    if found is None or not stat.S_ISDIR(found.st_mode):
+    if not is_folder(path):
         raise refusal(path, 'no such folder')
     return path
 
