@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -15,7 +16,9 @@ from hypothesis import strategies as st
 from test_io_camera_files import make_camera
 
 from rpgd_ros.core.errors import InputError
+from rpgd_ros.importing.text import shown as shown_in_import
 from rpgd_ros.io.camera_files import parse_cameras, read_cameras
+from rpgd_ros.io.strict import shown
 
 CAMERA = make_camera(0, n_coefficients=4)
 TEXTS = {
@@ -51,6 +54,19 @@ cameras: [{name: cam0, keypoints: coco17}]
             'at most 14',
         ),
         ('toml', 'size = [ 1920.0, ', 'size = [ ', r'cam_1.size: need .width, height., got 1'),
+        (
+            'toml',
+            'translation = [',
+            'translation = [1e300, 0.0, 0.0]\nt = [',
+            r'0\]: 1e\+300 is no',
+        ),
+        (
+            'toml',
+            'rotation = [',
+            'rotation = [1e300, 0.0, 0.0]\nr = [',
+            r'rotation\[0\]: 1e\+300 is',
+        ),
+        ('toml', 'size = ', 'size.a.a = 1\ns = ', r'cam_1.size: need a list, got .*a'),
         ('kalibr', '    - 1.0\n', '    - 2.0\n', r'T_cn_cnm1: the last row must be 0 0 0 1'),
         ('qualisys', 'r22="-0', 'r22="-9', r'camera cam0.transform: no rotation'),
         ('qualisys', 'focalLengthU', 'focalU', r'camera cam0.intrinsic: focalLengthU is missing'),
@@ -109,6 +125,34 @@ def test_text_of_another_kind_is_refused(text: str, message: str) -> None:
     """With the formats that are known, and without running or growing anything."""
     with pytest.raises(InputError, match=message):
         parse_cameras(text, 'file')
+
+
+@pytest.mark.parametrize('key', ['a.' * 20_000, 'a . ' * 40, '"a".' * 40, "'a=b'." * 40])
+def test_key_of_many_parts_is_refused_quickly(key: str) -> None:
+    """The library takes the square of their number."""
+    start = time.perf_counter()
+    for text in (f'[a]\nx = 1\n{key}b = 1\n', f'[a]\nx = 1\n[{key}b]\n'):
+        with pytest.raises(InputError, match='file: line 3: a key of more than 32 parts'):
+            parse_cameras(text, 'file')
+    assert time.perf_counter() - start < 2.0
+
+
+@pytest.mark.parametrize('text', ['"' * 10**5, 'a' * 10**6, "'" * 10**5, '"\\' * 10**5, 'a.' * 30])
+def test_long_text_without_long_keys_is_searched_quickly(text: str) -> None:
+    """The search for such keys takes no square of anything either."""
+    start = time.perf_counter()
+    with pytest.raises(InputError, match='file'):
+        parse_cameras(f'[a]\nb = 1\n{text}', 'file')
+    assert time.perf_counter() - start < 2.0
+
+
+def test_value_that_nests_too_deeply_to_be_shown_is_refused() -> None:
+    """The complaint about it says so instead of ending in another error."""
+    nested: object = 1
+    for _ in range(100_000):
+        nested = [nested]
+    for show in (shown, shown_in_import):
+        assert show({'a': nested}) == 'a dict that is nested too deeply'
 
 
 def test_rotation_of_left_handed_axes_is_refused() -> None:

@@ -141,5 +141,8 @@ def _is_number(cell: str) -> bool:
 
 def shown(value: object) -> str:
     """Return a foreign value as it may stand in a message: quoted, and not too long."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except RecursionError:  # JSON is read somewhat deeper than it is written
+        return f'a {type(value).__name__} that is nested too deeply'
     return text if len(text) <= MAX_SHOWN else f'{text[: MAX_SHOWN - 3]}...'

@@ -42,7 +42,10 @@ class _Loader(_BASE):  # type: ignore[misc, valid-type]
 
 def shown(value: object) -> str:
     """Return a foreign value as it may stand in a message: quoted, and not too long."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except RecursionError:  # of dotted keys of TOML, which nest without brackets
+        return f'a {type(value).__name__} that is nested too deeply'
     return text if len(text) <= MAX_SHOWN else f'{text[: MAX_SHOWN - 3]}...'
 
 

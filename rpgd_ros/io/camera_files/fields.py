@@ -20,6 +20,7 @@ from rpgd_ros.io.strict import Node, shown
 
 MAX_SIZE: Final = 100_000  # pixels; the largest sensors have 15 000
 MAX_COEFFICIENTS: Final = 14  # OpenCV's longest lens model
+LARGEST: Final = 1e9  # squares of damaged numbers overflow
 ROUNDING: Final = 1e-3  # of R R^T, where a file gives four decimals
 # YAML 1.1 takes 1e-05, as Python prints it, for a text.
 NUMBER: Final = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
@@ -53,10 +54,13 @@ def need(node: Node, *names: str) -> Node:
 
 
 def number(node: Node) -> float:
-    """Return a finite number, also one that YAML 1.1 took for a text."""
+    """Return a number of at most 1e9, also one that YAML 1.1 took for a text."""
     if isinstance(node.value, str) and NUMBER.fullmatch(node.value.strip()):
-        return Node(float(node.value), node.source, node.reason, node.path).number()
-    return node.number()
+        node = Node(float(node.value), node.source, node.reason, node.path)
+    value = node.number()
+    if abs(value) > LARGEST:
+        node.refuse(f'{value:g} is no number of a camera, need at most {LARGEST:g}')
+    return value
 
 
 def numbers(node: Node, *lengths: int) -> list[float]:
@@ -126,7 +130,7 @@ def rigid(node: Node, rotation: Array, translation: Sequence[float] | Array) -> 
 
     """
     error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if error > ROUNDING:
+    if not error <= ROUNDING:
         node.refuse(f'no rotation: R R^T differs from the identity by {error:.2g}')
     if np.linalg.det(rotation) < 0.0:
         node.refuse('the rotation is a mirror image: are the axes left-handed?')

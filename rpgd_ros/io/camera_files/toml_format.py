@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from typing import Final
 
@@ -26,6 +27,12 @@ from rpgd_ros.io.strict import Node
 
 # The format states no unit: Pose2Sim writes metres, aniposelib the unit of the board.
 MAX_DISTANCE_M: Final = 100.0
+# tomllib takes seconds for a key of some thousand parts, and the square of that for more.
+MAX_PARTS: Final = 32
+_QUOTED: Final = r"""\"(?:[^"\\\n]|\\.){0,99}\"|'[^'\n]{0,99}'"""
+_LONG_KEY: Final = re.compile(
+    rf'(?<![\w-])(?:(?:[\w-]+|{_QUOTED})[ \t]*\.[ \t]*){{{MAX_PARTS}}}', re.ASCII
+)
 
 
 def parse_toml(text: str, source: str) -> Node:
@@ -35,6 +42,11 @@ def parse_toml(text: str, source: str) -> Node:
         InputError: BAD_INPUT, naming the line.
 
     """
+    long_key = _LONG_KEY.search(text)
+    if long_key is not None:
+        line = text.count('\n', 0, long_key.start()) + 1
+        msg = f'{source}: line {line}: a key of more than {MAX_PARTS} parts is not taken'
+        raise InputError(Reason.BAD_INPUT, msg)
     try:
         return Node(tomllib.loads(text), source, Reason.BAD_INPUT)
     except (ValueError, RecursionError) as error:
