@@ -90,6 +90,25 @@ def test_surest_person_is_taken_and_others_are_counted(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.scores[1], [0.3, 0.2])
 
 
+@pytest.mark.parametrize('score', [float('inf'), -float('inf'), float('nan'), 1e308, 1e6, -50.0])
+def test_person_with_a_damaged_score_does_not_win(tmp_path: Path, score: float) -> None:
+    """That score counts as none, in either order."""
+    damaged = [*WEAK[:5], score]
+    for i, people in enumerate(([damaged, PERSON], [PERSON, damaged])):
+        tree = [{'keypoints': person, 'image_id': 1} for person in people]
+        found = read_keypoints(write(tmp_path / f'{i}.json', tree))
+        np.testing.assert_array_equal(found.uv[0], [[10, 20], [30, 40]])
+
+
+@pytest.mark.parametrize('value', [1e308, -1e200, float('inf')])
+def test_keypoint_at_an_impossible_place_is_missing(tmp_path: Path, value: float) -> None:
+    """Nothing is computed with it, which would end in a warning and in infinite numbers."""
+    tree = [{'keypoints': [*PERSON[:3], value, *PERSON[4:]], 'image_id': 1}]
+    found = read_keypoints(write(tmp_path / 'v.json', tree))
+    assert np.isfinite(found.uv[0]).tolist() == [[True, True], [False, False]]
+    assert found.scores[0, 1] == 0.0
+
+
 def test_zeros_and_low_scores_are_missing(tmp_path: Path) -> None:
     """Also what is no number, which JSON of Python may hold."""
     people = [{'keypoints': [[0, 0], [5, 6], [7, 8], [9, float('nan')]],
@@ -167,6 +186,16 @@ def test_frame_number_is_the_last_in_the_name(name: str, number: int | None) -> 
         ({'annotations': [{'image_id': 1, 'keypoints': PERSON}],
           'images': [{'id': 1, 'file_name': '1.jpg'}], 'categories': [{'keypoints': ['a']}]},
          'names 1 keypoints, but gives 2'),
+        ({'0.jpg': {'people': []}, 'a0.jpg': {'people': []}},
+         r'json: a0.jpg: frame 0 is also that of another image: one video per file'),
+        ([{'image_id': n, 'keypoints': PERSON} for n in ('0.jpg', '0.jpg', 'a0.jpg')],
+         r'\[2\].image_id: frame 0 is also that of another image'),
+        ({'annotations': [], 'images': [{'id': 1, 'file_name': f'{c}/1.jpg'} for c in 'ab']},
+         r'images\[1\].file_name: frame 1 is also that of another image'),
+        ({'annotations': [], 'images': [{'id': 1, 'file_name': f'{n}.jpg'} for n in (1, 2)]},
+         r'images\[1\].id: 1 is also that of another image'),
+        ({'annotations': [], 'images': [], 'categories': [{'keypoints': ['a', '\ud800']}]},
+         r"categories\[0\].keypoints\[1\]: '.ud800' is no name that can be written"),
     ],
 )  # fmt: skip
 def test_fault_is_named_with_file_and_place(tmp_path: Path, tree: object, message: str) -> None:

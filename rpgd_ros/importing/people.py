@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -20,6 +20,7 @@ OPENPOSE: Final = 'OpenPose JSON'
 COCO: Final = 'COCO JSON'
 ALPHAPOSE: Final = 'AlphaPose JSON'
 MMPOSE: Final = 'MMPose JSON'
+LARGEST_PX, LARGEST_SCORE = 1e9, 1e3  # scores are shares, percents or heights of peaks
 MAX_FRAME: Final = 10**9  # 190 days at 60 Hz; a larger number is a date or a hash
 # Where the keypoints of one person are, by tool.
 FLAT_KEYS: Final = ('pose_keypoints_2d', 'pose_keypoints', 'joints', 'keypoints')
@@ -86,7 +87,9 @@ def _of_mapping(path: Path, tree: Mapping[str, Any]) -> Document:
         refuse(path, 1, f'need an object with {known}, got one with {keys or "nothing"}')
     frames: dict[int | None, list[Array]] = {}
     for name, value in images:
-        frames[_image(path, name, name)] = _people(path, value, f'{name}.')
+        frame = _image(path, name, name)
+        _check_new(path, frame, frames, name)
+        frames[frame] = _people(path, value, f'{name}.')
     return Document(ALPHAPOSE, frames, is_whole=False)
 
 
@@ -103,6 +106,7 @@ def _of_list(path: Path, items: list[Any]) -> Document:
     if not isinstance(items[0], dict):
         refuse(path, 1, f'need a list of objects, got {shown(items[0])}')
     frames: dict[int | None, list[Array]] = defaultdict(list)
+    image_of: dict[int, object] = {}
     name = MMPOSE
     for i, item in enumerate(items):
         place = f'[{i}]'
@@ -118,6 +122,9 @@ def _of_list(path: Path, items: list[Any]) -> Document:
             is_name = isinstance(item['image_id'], str)
             name = ALPHAPOSE if is_name else COCO
             frame = _image(path, item['image_id'], f'{place}.image_id')
+            if frame in frames and image_of[frame] != item['image_id']:
+                _check_new(path, frame, frames, f'{place}.image_id')
+            image_of[frame] = item['image_id']
             frames[frame].append(_person(path, item, place))
         else:
             frames[None].append(_person(path, item, place))
@@ -136,7 +143,10 @@ def _of_annotations(path: Path, tree: Mapping[str, Any]) -> Document:
             refuse(path, None, f'{place}: need an object with id and file_name')
         name = str(image.get('file_name', image['id']))
         frame = _image(path, name, f'{place}.file_name')
+        _check_new(path, frame, frames, f'{place}.file_name')
         frames[frame] = []
+        if str(image['id']) in frame_of:
+            refuse(path, None, f'{place}.id: {shown(image["id"])} is also that of another image')
         frame_of[str(image['id'])] = frame
     for i, item in enumerate(_list(path, tree['annotations'], 'annotations')):
         place = f'annotations[{i}]'
@@ -162,7 +172,16 @@ def _names(path: Path, names: object, place: str) -> tuple[str, ...] | None:
         return None
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         refuse(path, None, f'{place}: need a list of names, got {shown(names)}')
+    for i, name in enumerate(names):
+        if not name.isprintable():
+            refuse(path, None, f'{place}[{i}]: {shown(name)} is no name that can be written')
     return tuple(names)
+
+
+def _check_new(path: Path, frame: int, known: Collection[int | None], place: str) -> None:
+    if frame in known:
+        msg = f'{place[:80]}: frame {frame} is also that of another image: one video per file'
+        refuse(path, None, msg)
 
 
 def _list(path: Path, value: object, place: str) -> list[Any]:
@@ -207,7 +226,7 @@ def _person(path: Path, item: object, place: str) -> Array:
     if table.ndim != 2 or table.shape[1] != 3 or not 0 < len(table) <= MAX_JOINTS:
         msg = f'need x, y, score for each of 1 to {MAX_JOINTS} keypoints, got {table.size} numbers'
         refuse(path, None, f'{place}.{keys[0]}: {msg}')
-    return table
+    return _without_damage(table)
 
 
 def _scores(path: Path, values: object, n: int, place: str) -> Array:
@@ -222,4 +241,10 @@ def _scores(path: Path, values: object, n: int, place: str) -> Array:
 
 def chosen(people: list[Array]) -> Array:
     """Return the person with the largest sum of scores: the most, and the surest, keypoints."""
-    return max(people, key=lambda person: float(np.nansum(person[:, 2])))
+    return max(people, key=lambda person: float(person[:, 2].clip(0.0).sum()))
+
+
+def _without_damage(table: Array) -> Array:
+    """Return keypoints (K, 3) in which those with an impossible number are missing, as zeros."""
+    is_sound = (np.abs(table) <= (LARGEST_PX, LARGEST_PX, LARGEST_SCORE)).all(1)  # nor NaN
+    return np.where(is_sound[:, None], table, 0.0)
