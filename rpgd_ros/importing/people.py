@@ -246,5 +246,5 @@ def chosen(people: list[Array]) -> Array:
 
 def _without_damage(table: Array) -> Array:
     """Return keypoints (K, 3) in which those with an impossible number are missing, as zeros."""
-    is_sound = (np.abs(table) <= (LARGEST_PX, LARGEST_PX, LARGEST_SCORE)).all(1)  # nor NaN
+    is_sound = np.asarray((np.abs(table) <= (LARGEST_PX, LARGEST_PX, LARGEST_SCORE)).all(1))
     return np.where(is_sound[:, None], table, 0.0)
