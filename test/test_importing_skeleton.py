@@ -142,6 +142,8 @@ def test_zeros_are_missing_and_joints_without_data_are_said() -> None:
             'time 100000 s is more than a day .86400 s. after',
         ),
         ({'time_s': np.array([-1e308, *range(8), 1e308])}, 'time 0 s is more than a day'),
+        ({'time_s': np.arange(10) * 5e-324}, r'10 frames within .* Hz: are the times in seconds'),
+        ({'time_s': np.arange(10) / 1e6}, '10 frames within 9e-06 s are more than 2000 Hz'),
         ({'values': np.full((10, 6, 3), np.nan)}, 'holds no position at all'),
     ],
 )

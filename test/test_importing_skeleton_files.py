@@ -267,6 +267,18 @@ def test_c3d_whose_header_cannot_count_its_frames_is_read(tmp_path: Path) -> Non
     assert len(read_skeleton(path).time_s) == 4
 
 
+def test_c3d_position_that_nobody_can_have_is_missing(tmp_path: Path) -> None:
+    """Nothing is computed with it."""
+    path, x = tmp_path / 'a.c3d', body(4)
+    x[1, 2] = 1e30
+    x[3, 0, 1] = np.inf
+    write_c3d(path, JOINTS, x)
+    found = read_skeleton(path).values
+    assert np.isnan(found[1, 2]).all()
+    assert np.isnan(found[3, 0, 1])
+    assert np.isnan(found).sum() == 4
+
+
 def test_c3d_label_in_latin_1_is_read(tmp_path: Path) -> None:
     """With a mark for the letter, as in text files."""
     path = tmp_path / 'a.c3d'
@@ -379,7 +391,10 @@ def test_damaged_c3d_is_refused(tmp_path: Path, data: bytes) -> None:
         (TRC, '1.5\t2', '1,5\t2', r":9: column 3: need a number, got '1,5'"),
         (TRC, '1.5\t2', 'inf\t2', ':9: column 3 is infinite'),
         (TRC, '8\t0.07', '8\t0.05', ':9: time goes from 0.05 to 0.05 s: it must increase'),
-        (TRC, '8\t0.07', '8\t1e300', r':9: time 1e\+300 s is more than a day'),
+        (TRC, '8\t0.07', '8\t1e300', r":9: column 2: need a number up to 1e\+15, got '1e300'"),
+        (TRC, '1.5\t2', '1e308\t2', r":9: column 3: need a number up to 1e\+15, got '1e308'"),
+        (BVH, 'OFFSET 10', 'OFFSET 1e308', r":8: OFFSET: need a number up to 1e\+15, got '1e308'"),
+        (TRC, '8\t0.07', '8\t1e8', r':9: time 1e\+08 s is more than a day'),
         (TRC, '100\t100\t3', '.5\t100\t3', ':3: DataRate 0.5 is no frame rate, need 1 to'),
         (CSV, '# up: y', '# fps: 1e-320', ':2: fps .* is no frame rate, need 1 to 2000 Hz'),
         (TRC, 'Frame#\t', 'Frame# ', ':4: need Frame#, Time and the marker names'),

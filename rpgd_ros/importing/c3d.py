@@ -13,7 +13,7 @@ import numpy as np
 
 from rpgd_ros.core.errors import Reason
 from rpgd_ros.importing.skeleton import AXES, MAX_FPS, MIN_FPS, SAME_RATE, Axis, SkeletonFile
-from rpgd_ros.importing.text import read_bytes, refuse, shown
+from rpgd_ros.importing.text import LARGEST, read_bytes, refuse, shown
 from rpgd_ros.io.child import read_in_child
 
 FORMAT: Final = 'C3D'
@@ -58,6 +58,7 @@ def read_c3d(path: Path) -> SkeletonFile:
     keep = [j for j, label in enumerate(labels) if label and not label.startswith('*')]
     keep = [j for j in keep if labels[j].rpartition(':')[2] not in outputs]
     values = points[:, keep].transpose(2, 1, 0)
+    values = np.where(np.abs(values) <= LARGEST, values, np.nan)
     _check_whole(path, data, len(values))
     up = _text(parameters, 'Y_SCREEN').lstrip('+-').lower()
     return SkeletonFile(

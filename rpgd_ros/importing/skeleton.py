@@ -51,7 +51,8 @@ def frame_rate(time_s: Array) -> float:
     middle = np.sort(step)[skip : len(step) - skip].mean()
     single = step[step < 1.5 * middle].mean()
     n_steps = np.round(step / single).sum()
-    return float(n_steps / (time_s[-1] - time_s[0]))
+    with np.errstate(over='ignore'):  # of a span that some damage made tiny
+        return float(n_steps / (time_s[-1] - time_s[0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,6 +166,8 @@ def settle(
     """
     _check_shape(file)
     check_span(file.path, file.time_s)
+    if fps is None:
+        _check_rate(file)
     warnings = list(file.notes)
     is_zero = (file.values == 0.0).all(-1)
     values = np.where(is_zero[..., None], np.nan, file.values)
@@ -204,6 +207,13 @@ def _times(file: SkeletonFile, asked: float | None, warnings: list[str]) -> Arra
         )
     begin_s = origin(float(file.time_s[0]))
     return begin_s + (file.time_s - begin_s) * (stated / asked)
+
+
+def _check_rate(file: SkeletonFile) -> None:
+    n_steps, span_s = len(file.time_s) - 1, float(file.time_s[-1] - file.time_s[0])
+    if n_steps > (1.0 + SAME_RATE) * MAX_FPS * span_s:
+        msg = f'{n_steps + 1} frames within {span_s:g} s are more than {MAX_FPS:g} Hz: are the '
+        refuse(file.path, None, f'{msg}times in seconds? Give the true rate with --mocap-fps')
 
 
 def _check_shape(file: SkeletonFile) -> None:

@@ -15,6 +15,7 @@ from rpgd_ros.core.geometry import Array
 
 MAX_BYTES: Final = 2**29  # an hour at 240 Hz with 60 joints takes 1/3 of it
 LONGEST_S: Final = 86_400.0  # of a recording; later times are dates, such as those of Unix
+LARGEST: Final = 1e15  # larger than dates in ms; squares of damaged numbers overflow
 MAX_SHOWN: Final = 80  # characters of a foreign string in a message
 
 
@@ -63,7 +64,7 @@ def read_lines(path: Path) -> list[str]:
 
 
 def number(cell: str, path: Path, line: int, what: str) -> float:
-    """Return one finite number.
+    """Return one number of at most 1e15.
 
     Raises:
         InputError: It is none.
@@ -75,6 +76,8 @@ def number(cell: str, path: Path, line: int, what: str) -> float:
         refuse(path, line, f'{what}: need a number, got {shown(cell)}')
     if not math.isfinite(value):
         refuse(path, line, f'{what}: need a finite number, got {shown(cell)}')
+    if abs(value) > LARGEST:
+        refuse(path, line, f'{what}: need a number up to {LARGEST:g}, got {shown(cell)}')
     return value
 
 
@@ -82,7 +85,7 @@ def numbers(cells: Sequence[str], path: Path, line: int) -> list[float]:
     """Return the numbers of a row; NaN where a cell is empty.
 
     Raises:
-        InputError: A cell is no number, or infinite.
+        InputError: A cell is no number, infinite, or beyond 1e15.
 
     """
     try:
@@ -94,6 +97,10 @@ def numbers(cells: Sequence[str], path: Path, line: int) -> list[float]:
     if any(map(math.isinf, values)):
         column = 1 + next(i for i, v in enumerate(values) if math.isinf(v))
         refuse(path, line, f'column {column} is infinite, need a number')
+    large = next((i for i, v in enumerate(values, 1) if abs(v) > LARGEST), None)
+    if large is not None:
+        cell = shown(cells[large - 1])
+        refuse(path, line, f'column {large}: need a number up to {LARGEST:g}, got {cell}')
     return values
 
 
