@@ -7,7 +7,6 @@ import json
 import pickle
 import shutil
 import struct
-import warnings
 from pathlib import Path
 from typing import Any, get_args
 
@@ -168,6 +167,9 @@ def spoil(folder: Path, what: str) -> None:
         save(folder, '3d', keypoints3d=x, keypoints3d_optim=x.tolist())
     elif what == 'no cameras':
         (cameras / 'setting1.json').write_text('[]')
+    elif what == 'camera turned too far':
+        turned = CAMERA | {'rotation': [1e200, 0.0, 0.0]}
+        (cameras / 'setting1.json').write_text(json.dumps([turned]))
     elif what == 'camera of no name':
         unnamed = CAMERA | {'name': '\ud800', 'size': [0, 0]}
         (cameras / 'setting1.json').write_text(json.dumps([unnamed]))
@@ -181,6 +183,7 @@ def spoil(folder: Path, what: str) -> None:
         (folder / 'keypoints3d' / f'{NAME}.pkl').symlink_to('/dev/zero')
 
 
+@pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize(
     ('what', 'message'),
     [
@@ -200,6 +203,7 @@ def spoil(folder: Path, what: str) -> None:
         ('time as a list', 'timestamps is no array of numbers'),
         ('time as nothing', 'timestamps is no array of numbers'),
         ('list of joints', r'keypoints3d/.*ch01\.pkl: keypoints3d_optim is no array of numbers'),
+        ('camera turned too far', r"setting1\.json: camera 'c01': the rotation is none"),
         ('no cameras', r'setting1\.json: no cameras'),
         ('camera of no name', r"setting1\.json: '\\ud800' is no name of a camera"),
         ('long name', r'sss\.json: cannot be read: File name too long'),
@@ -214,6 +218,7 @@ def test_damaged_file_is_named(what: str, message: str, by_hand: Path) -> None:
         Aistpp.open(by_hand).read(NAME)
 
 
+@pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('dtype', ['<f4', '<f8'])
 def test_damaged_numbers_are_missing(dtype: str, by_hand: Path) -> None:
     """Without a warning: infinite, signalling, or larger than any coordinate."""
@@ -222,9 +227,7 @@ def test_damaged_numbers_are_missing(dtype: str, by_hand: Path) -> None:
     keypoints[0, 0, 1], keypoints[0, 0, 2] = -np.inf, 1e38
     save(by_hand, '3d', keypoints3d=with_signalling_nan(x))
     save(by_hand, '2d', keypoints2d=with_signalling_nan(keypoints))
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        (view,) = Aistpp.open(by_hand).read(NAME).observations.views
+    (view,) = Aistpp.open(by_hand).read(NAME).observations.views
     assert np.isnan(view.x_mocap[0, :3]).any(-1).tolist() == [True] * 3
     assert np.isnan(view.uv[0, 1:3]).all()
     assert np.isfinite(view.x_mocap[1:]).all()

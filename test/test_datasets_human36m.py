@@ -98,6 +98,15 @@ def test_published_selection_keeps_to_its_subjects(tree: Path, tmp_path: Path) -
     assert Human36m.open(folder, is_published=True).names == ('S1/Directions',)
 
 
+def test_action_whose_name_cannot_be_printed_is_refused(tmp_path: Path) -> None:
+    """It would be the name of a sequence, in tables and messages."""
+    folder = tmp_path / 'S1/MyPoseFeatures/D3_Positions'
+    folder.mkdir(parents=True)
+    (folder / 'Walking\udcff.cdf').touch()
+    with pytest.raises(InputError, match='is no name of a sequence'):
+        Human36m.open(tmp_path)
+
+
 def test_damaged_and_missing_cdf_files_are_named(tree: Path, tmp_path: Path) -> None:
     """Cut, flipped, replaced, gone: our error with the path."""
     folder = shutil.copytree(tree, tmp_path / 'tree')

@@ -87,6 +87,24 @@ def test_other_files_are_no_calibration(tmp_path: Path) -> None:
             read_cameras(path)
 
 
+def test_folder_whose_name_cannot_be_printed_is_refused(tmp_path: Path) -> None:
+    """It would be the name of a sequence, in tables and messages."""
+    for name in ('Seq\udcff', 'Seq\x1b[31m'):
+        folder = tmp_path / f'{len(name)}' / 'S1' / name
+        folder.mkdir(parents=True)
+        (folder / 'annot.mat').touch()
+        with pytest.raises(InputError, match='is no name of a sequence'):
+            MpiInf3dhp.open(tmp_path / f'{len(name)}')
+
+
+@pytest.mark.filterwarnings('error')
+def test_rotation_of_huge_numbers_is_refused_without_a_warning(tmp_path: Path) -> None:
+    """Their products are beyond the range of numbers."""
+    path = calibration(tmp_path / 'camera.calibration', change=('0.9650164', '1e308'))
+    with pytest.raises(InputError, match='the rotation is none'):
+        read_cameras(path)
+
+
 def test_twin_agrees_with_its_cameras(tree: Path) -> None:
     """At the rebuilt pose the mean residual is the published one, by an own projection."""
     dataset = open_dataset('mpi_inf_3dhp', tree)

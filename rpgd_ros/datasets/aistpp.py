@@ -170,13 +170,15 @@ def _camera(path: Path, entry: dict[str, Any]) -> Camera:
         msg = 'rotation and translation need three numbers each'
         raise ValueError(msg)
     width, height = entry['size']
+    with np.errstate(all='ignore'):  # of numbers that are refused
+        camera_R_world = so3_exp(rotation)
     return camera_from_file(
         path,
         str(entry['name']),
         matrix=np.array(entry['matrix'], dtype=np.float64),
         distortion=np.array(entry['distortions'], dtype=np.float64),
         size=(int(width), int(height)),
-        rotation=so3_exp(rotation),
+        rotation=camera_R_world,
         translation=translation * M_PER_CM,
     )
 

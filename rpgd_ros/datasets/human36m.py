@@ -40,6 +40,7 @@ from rpgd_ros.datasets.sequence import (
     check_name,
     refusal,
     sequence_from_world,
+    sequence_names,
 )
 from rpgd_ros.skeletons import joint_names
 
@@ -93,8 +94,8 @@ class Human36m:
         subjects = {f'S{number}' for number in range(1, N_SUBJECTS + 1)}
         wanted = set(PUBLISHED) if is_published else subjects
         pairs = sorted((_subject(path), path.stem) for path in found)
-        names = [f'{subject}/{action}' for subject, action in pairs if subject in wanted]
-        return cls(folder, tuple(names))
+        names = (f'{subject}/{action}' for subject, action in pairs if subject in wanted)
+        return cls(folder, sequence_names(folder, names))
 
     def read(self, name: str) -> DatasetSequence:
         """Read one sequence; see `Dataset`."""

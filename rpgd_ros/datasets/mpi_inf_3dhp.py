@@ -39,6 +39,7 @@ from rpgd_ros.datasets.sequence import (
     check_name,
     refusal,
     sequence_from_world,
+    sequence_names,
     shown,
 )
 from rpgd_ros.skeletons import joint_names
@@ -81,7 +82,8 @@ class MpiInf3dhp:
 
         """
         found = require_folder(folder).glob('S*/Seq*/annot.mat')
-        return cls(folder, tuple(sorted(f'{p.parts[-3]}/{p.parts[-2]}' for p in found)))
+        names = sorted(f'{p.parts[-3]}/{p.parts[-2]}' for p in found)
+        return cls(folder, sequence_names(folder, names))
 
     def read(self, name: str) -> DatasetSequence:
         """Read one sequence; see `Dataset`."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -78,6 +79,20 @@ def refusal(path: Path, message: str) -> InputError:
 def shown(text: object) -> str:
     """Return a foreign string as it may stand in a message."""
     return repr(text)[:MAX_SHOWN]
+
+
+def sequence_names(folder: Path, names: Iterable[str]) -> tuple[str, ...]:
+    """Return names that files or folders of a dataset have, and that can be printed.
+
+    Raises:
+        InputError: One cannot: no table or message could name it.
+
+    """
+    found = tuple(names)
+    for name in found:
+        if not name.isprintable():
+            raise refusal(folder, f'{shown(name)} is no name of a sequence: rename it')
+    return found
 
 
 def check_name(name: str, names: tuple[str, ...]) -> None:
@@ -157,7 +172,8 @@ def camera_from_file(
     """
     if not name.isprintable():
         raise refusal(path, f'{shown(name)} is no name of a camera')
-    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    with np.errstate(all='ignore'):  # of numbers that are refused
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not error < MAX_SKEW:  # True for NaN
         raise refusal(path, f'camera {shown(name)}: the rotation is none (off by {error:.2g})')
     try:
