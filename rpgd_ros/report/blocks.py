@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -146,6 +147,13 @@ def label(text: str) -> str:
     """Return foreign text for a plot, whose labels would otherwise read tags in it."""
     short = text if len(text) <= LONGEST else f'{text[: LONGEST - 1]}…'
     return short.replace('&', '&amp;').replace('<', '&lt;').replace('>', '&gt;')
+
+
+def labels(names: Sequence[str]) -> list[str]:
+    """Return labels of one axis; names that are cut to the same text get their numbers."""
+    cut = [label(name) for name in names]
+    times = Counter(cut)
+    return [text if times[text] == 1 else f'{text} ({i})' for i, text in enumerate(cut, 1)]
 
 
 def number(value: float, digits: int = 2, unit: str = '') -> str:

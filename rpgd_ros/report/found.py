@@ -16,7 +16,7 @@ from rpgd_ros.report.blocks import (
     Section,
     Table,
     Text,
-    label,
+    labels,
     number,
     percent,
     rounded,
@@ -181,7 +181,7 @@ def _joint_figure(names: list[str], offset_mm: Array, sigma_mm: Array) -> Figure
     traces = [
         {
             'type': 'scatter', 'mode': 'markers', 'name': axis,
-            'x': [label(name) for name in names], 'y': rounded(offset_mm[:, i], 1),
+            'x': labels(names), 'y': rounded(offset_mm[:, i], 1),
             'marker': {'color': colour, 'size': 7, 'symbol': symbol},
             'error_y': {'type': 'data', 'array': rounded(sigma_mm[:, i], 2), 'color': colour,
                         'thickness': 1.5, 'width': 3},

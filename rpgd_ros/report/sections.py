@@ -25,7 +25,7 @@ from rpgd_ros.report.blocks import (
     Side,
     Table,
     Text,
-    label,
+    labels,
     number,
     percent,
     rounded,
@@ -116,7 +116,7 @@ def _pooled(measured: Measured, joint: int) -> Array:
 def _joint_figure(names: list[str], bands: Array) -> Figure:
     low, middle, high = bands
     trace = {
-        'type': 'scatter', 'mode': 'markers', 'x': [label(name) for name in names],
+        'type': 'scatter', 'mode': 'markers', 'x': labels(names),
         'y': rounded(middle, 2), 'marker': {'color': '@seen', 'size': 8},
         'error_y': {'type': 'data', 'symmetric': False, 'array': rounded(high - middle, 2),
                     'arrayminus': rounded(middle - low, 2), 'color': '@seen', 'thickness': 1.5},
@@ -157,7 +157,7 @@ def _agreement(measured: Measured) -> Figure:
     trace = {
         'type': 'heatmap', 'z': rounded(table, 3), 'zmin': 0, 'zmax': 1, 'hoverongaps': False,
         'x': rounded((bounds[1:] + bounds[:-1]) / 2 - start, 2),
-        'y': [label(look.camera.name) for look in measured.looks], 'ygap': 2,
+        'y': labels([look.camera.name for look in measured.looks]), 'ygap': 2,
         'colorscale': 'Cividis',
         'colorbar': {'thickness': 10, 'outlinewidth': 0, 'tickformat': '.0%'},
         'hovertemplate': '%{y}, %{x:.1f} s: %{z:.1%}<extra></extra>',

@@ -17,15 +17,18 @@
   setTheme(wanted());
 
   // '@name' is a colour of the page.
-  const coloured = (value, style) => {
+  // Where a colour is asked for, @name is one of the page; anywhere else it is somebody's name.
+  const coloured = (value, style, key = '') => {
     if (typeof value === 'string') {
-      return value.startsWith('@') ? style.getPropertyValue(`--${value.slice(1)}`).trim() : value;
+      const isNamed = key.includes('color') && value.startsWith('@');
+      return isNamed ? style.getPropertyValue(`--${value.slice(1)}`).trim() : value;
     }
     if (Array.isArray(value)) {
-      return typeof value[0] === 'number' ? value : value.map((item) => coloured(item, style));
+      return typeof value[0] === 'number'
+        ? value : value.map((item) => coloured(item, style, key));
     }
     if (value === null || typeof value !== 'object') return value;
-    return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, coloured(v, style)]));
+    return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, coloured(v, style, k)]));
   };
 
   const laidOut = (layout, style, key) => {
