@@ -46,6 +46,13 @@ def test_namespaces_may_be_nested_as_rcl_allows(tmp_path: Path) -> None:
     assert read(tmp_path, text) == {'ransac.seed': 3}
 
 
+def test_number_may_be_marked_as_text(tmp_path: Path) -> None:
+    """As rcl takes it, and as it is documented for ROS 2."""
+    path = tmp_path / 'parameters.yaml'
+    path.write_text('/**:\n  ros__parameters: {world_frame: !!str 1, auto.period_s: 1.0}\n')
+    assert read_parameters(path) == {'world_frame': '1', 'auto.period_s': 1.0}
+
+
 def test_numbers_are_those_of_rcl(tmp_path: Path) -> None:
     """1e-3 is a number there, and `off` is a word here."""
     given = read(

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import yaml
 
@@ -22,6 +22,8 @@ MAX_SHOWN = 80  # characters of a foreign string in a message
 
 # libyaml where PyYAML was built with it: 20 times faster.
 _BASE: type[yaml.SafeLoader] = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+# What some libraries write before each quoted text, and what parameter files of ROS may have.
+TEXT_TAGS: Final = (None, '!', 'tag:yaml.org,2002:str')
 
 
 class _Loader(_BASE):  # type: ignore[misc, valid-type]
@@ -226,7 +228,7 @@ def _check_events(text: str, refusal: Callable[[str], InputError], max_scalar: i
             msg = f'line {line}: aliases (*{event.anchor}) are not taken: write the value out'
             raise refusal(msg)
         tag = getattr(event, 'tag', None)
-        if tag is not None and tag != '!':  # which some libraries write before each quoted text
+        if tag not in TEXT_TAGS:
             msg = f'line {line}: tags ({shown(tag)}) are not taken: write the plain value'
             raise refusal(msg)
         depth += isinstance(event, yaml.CollectionStartEvent)
