@@ -5,16 +5,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import report_cases
 import yaml
 from bags import Message, write_bag
 
 from rpgd_ros.apps import calibrate_bag
 from rpgd_ros.core.geometry import RigidTransform, so3_exp
+from rpgd_ros.io.bag import BagWriter, open_bag
 from rpgd_ros.io.result_file import read_result
+from rpgd_ros.io.rig import read_rig, write_rig
 from rpgd_ros.messages import CAMERA_INFO, TF_MESSAGE, Link, encode_camera_info, encode_tf
 from rpgd_ros.simulation import SimulatedRecording, build_scene, preset, simulate
 from rpgd_ros.simulation.export import messages_of, write_recording
@@ -129,3 +133,25 @@ def test_a_zoom_in_the_middle_of_the_bag_drops_what_was_before(
     n_before = sum(m.topic == '/cam0/keypoints' and m.receive_ns < middle for m in messages)
     assert int(dropped[1]) == pytest.approx(n_before, abs=1)
     assert_true(output, recording)
+
+
+def test_a_complaint_about_intrinsics_is_made_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the name of its camera once."""
+    folder = tmp_path / 'walk'
+    folder.mkdir()
+    report_cases.good(folder)
+    rig = read_rig(folder / 'rig.yaml')
+    cameras = [
+        replace(c, camera=None, camera_info_topic=f'{c.name}/camera_info') for c in rig.cameras
+    ]
+    write_rig(tmp_path / 'rig.yaml', replace(rig, cameras=tuple(cameras)))
+    with open_bag(folder / 'bag') as source, BagWriter(tmp_path / 'bag') as writer:
+        for topic, at, payload in source.stream(source.topics):
+            odd = payload.replace(b'plumb_bob', b'plumb_odd') if 'cam0' in topic else payload
+            writer.write(topic, source.topics[topic].msgtype, at, odd)
+    calibrate_bag.main([str(tmp_path / 'bag'), '--rig', str(tmp_path / 'rig.yaml')])
+    said = ' '.join(capsys.readouterr().err.split())
+    assert said.count("'plumb_odd'") == 1
+    assert 'camera cam0: camera cam0' not in said

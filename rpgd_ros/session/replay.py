@@ -30,19 +30,26 @@ def replay(
 
     """
     facts = CameraFacts(session, recording.rig)
-    topics = _look_ahead(recording, facts, tell)
+    told: set[str] = set()
+
+    def note(sentence: str) -> None:
+        told.add(sentence)
+        tell(sentence)
+
+    topics = _look_ahead(recording, facts, note)
     streams = session.topics()
     n_read, n_messages = 0, max(recording.n_messages, 1)
     for batch in recording.batches(topics):
         stream = streams.get(batch.topic)
         if stream is None:
-            _take(facts, batch.topic, batch.payloads, tell)
+            _take(facts, batch.topic, batch.payloads, note)
             continue
         session.add(stream, batch.msgtype, batch.payloads, batch.receive_ns)
         n_read += len(batch.payloads)
         progress('reading', n_read / n_messages)
     for camera, problem in facts.problems().items():
-        tell(f'camera {camera}: {problem}')
+        if problem not in told:
+            tell(f'camera {camera}: {problem}')
 
 
 def _look_ahead(
