@@ -133,9 +133,7 @@ def plan_camera(
 
     """
     path = detections.path
-    if not MIN_FPS <= fps <= MAX_FPS:
-        msg = f'camera {camera.name}: {fps:g} is no frame rate, need {MIN_FPS:g} to {MAX_FPS:g} Hz'
-        raise InputError(Reason.BAD_INPUT, msg)
+    _check_length(camera.name, detections, fps)
     names = _names(detections, joints)
     try:
         pairs = match_joints(skeleton.joints, names, joint_map)
@@ -143,7 +141,6 @@ def plan_camera(
         source = skeleton.source
         msg = f'{source.at(source.joints_line)}, {path}: {error.message}'
         raise InputError(error.reason, f'{msg} (--joint-map KEYPOINT=JOINT)') from None
-    _check_length(detections, fps)
     first, doubts = _first_frame(camera.name, detections, first_frame)
     time_s = (start_s or 0.0) + (detections.frames - first) / fps
     begin, end = float(skeleton.time_s[0]), float(skeleton.time_s[-1])
@@ -186,8 +183,11 @@ def _first_frame(
     return first, (warning,)
 
 
-def _check_length(detections: Detections, fps: float) -> None:
-    """Refuse frame numbers that are dates or damaged."""
+def _check_length(name: str, detections: Detections, fps: float) -> None:
+    """Refuse rates that no camera has, and frame numbers that are dates or damaged."""
+    if not MIN_FPS <= fps <= MAX_FPS:
+        msg = f'camera {name}: {fps:g} is no frame rate, need {MIN_FPS:g} to {MAX_FPS:g} Hz'
+        raise InputError(Reason.BAD_INPUT, msg)
     first, last = detections.first, int(detections.frames[-1])
     if (last - first) / fps > LONGEST_S:
         msg = (
