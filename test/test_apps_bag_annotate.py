@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import resource
+import sqlite3
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,6 +52,18 @@ def test_the_clock_of_the_recorder_may_have_been_anywhere(
     with open_bag(path) as found:
         assert found.topics[topic].msgtype == TRANSFORM_STAMPED
         assert len(list(found.stream([topic]))) == 1
+
+
+def test_a_recorder_may_have_lived_before_1970(studio: Walk, tmp_path: Path) -> None:
+    """Its storage has signed times, that of the copy has not."""
+    with open_bag(studio.bag) as bag, BagWriter(tmp_path / 'bag', storage='sqlite3') as writer:
+        for topic, at, payload in bag.stream(bag.topics):
+            writer.write(topic, bag.topics[topic].msgtype, at, payload)
+    (file,) = (tmp_path / 'bag').glob('*.db3')
+    with sqlite3.connect(file) as database:
+        database.execute('update messages set timestamp = -5 where id < 10')
+    database.close()
+    assert annotated(studio, file, tmp_path / 'annotated.mcap') == 0
 
 
 @pytest.mark.parametrize(

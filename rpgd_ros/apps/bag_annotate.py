@@ -126,7 +126,8 @@ def _write(run: BagRun, target: BagWriter, progress: Progression) -> list[str]:
         copied = _declare(bag, writer, said)
         begun = False
         messages = bag.stream(copied, longest=MAX_IMAGE_BYTES)
-        for n, (topic, receive_ns, payload) in enumerate(messages):
+        for n, (topic, recorded_ns, payload) in enumerate(messages):
+            receive_ns = max(recorded_ns, 0)  # MCAP knows no time before 1970
             if not begun:
                 for added in scene.begin():
                     writer.write(added.topic, added.msgtype, receive_ns, added.payload)
