@@ -68,6 +68,7 @@ def test_names_in_a_recording_reach_neither_terminal_nor_page(
     studio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The name of the MoCap frame comes from the messages, that of the bag from anybody."""
+    pytest.importorskip('plotly')
     bag, page = tmp_path / 'bag\u202e\udcff', tmp_path / 'report.html'
     with open_bag(studio / 'bag') as source, BagWriter(tmp_path / 'bag') as writer:
         for topic, at, payload in source.stream(source.topics):
